@@ -1,0 +1,27 @@
+PYTHON ?= python3
+VENV := .venv
+MESH ?=
+
+.PHONY: setup demo test check bench
+
+setup: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "flx needs Python 3.11 or newer; say make PYTHON=/path/to/python3.11"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+demo: setup  ## learn the embedded vase (or MESH=your.glb) and make four variations of it
+	$(VENV)/bin/flx train experiments/demo.py $(if $(MESH),--surface.path '$(MESH)')
+	$(VENV)/bin/flx sample runs/demo --count 4
+
+test: setup  ## every law, and the linters
+	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
+	$(VENV)/bin/pyright
+	$(VENV)/bin/lint-imports
+	$(VENV)/bin/python -m pytest
+
+bench: setup  ## timings of this machine, as JSON
+	$(VENV)/bin/flx bench

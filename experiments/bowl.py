@@ -1,0 +1,14 @@
+"""A scanned bowl (Google Scanned Objects, Now_Designs_Bowl_Akita_Black) at 10K vertices.
+
+flx train experiments/bowl.py --surface.path PATH/akita_black_bowl.obj
+flx sample runs/bowl --count 4
+"""
+
+from flx.config import FLDM, FLDMExperiment, Surface, Train
+
+config = FLDMExperiment(
+    name="bowl",
+    model=FLDM(channels=32, vn_layers=2, precision="float32"),
+    surface=Surface(vertices=10_000, copies=8, up="z"),
+    train=Train(steps=3000, batch=1, learning_rate=2e-3, ema=0.995, clip=1.0, checkpoint_every=100),
+)

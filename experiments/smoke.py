@@ -1,0 +1,13 @@
+"""From file to GLB in about a minute of CPU: `flx train experiments/smoke.py --surface.path MESH`.
+
+Too small and too short to be beautiful; it shows that everything is connected. The tests run it.
+"""
+
+from flx.config import FLDM, FLDMExperiment, Surface, Train
+
+config = FLDMExperiment(
+    name="smoke",
+    model=FLDM(channels=16, vn_layers=1, embedding=32, precision="float32"),
+    surface=Surface(vertices=800, copies=2),
+    train=Train(steps=30, batch=1, ema=0.9, checkpoint_every=10, log_every=10),
+)

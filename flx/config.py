@@ -1,0 +1,108 @@
+"""What can be turned: frozen dataclasses with the paper's values as defaults.
+
+An experiment file makes one `FLVAEExperiment` or `FLDMExperiment` and names it `config`; the launcher
+overrides single fields from the command line. A line there that differs from here says why.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Precision = Literal["bfloat16", "float32"]
+
+
+@dataclass(frozen=True)
+class FLVAE:
+    """The field-latent VAE (paper, section 3 and supplement B.1)."""
+
+    encoder: Literal["transformer", "frame"] = "transformer"  # "frame" is ours, 40x cheaper a ring
+    channels: int = 128  # complex channels of the transformer
+    layers: int = 8  # VN-Transformer layers
+    heads: int = 8
+    latents: int = 8  # D, complex numbers a vertex
+    samples: int = 64  # colour samples a one-ring
+    decoder_width: int = 512
+    decoder_layers: int = 5
+    precision: Precision = "bfloat16"  # inputs of the matrix products; sums are float32
+
+
+@dataclass(frozen=True)
+class FLDM:
+    """The field-latent diffusion model (paper, section 4 and supplement B.2)."""
+
+    latents: int = 8
+    channels: int = 96  # of the fine level; the coarse level has twice as many
+    filter: Literal["harmonic", "mlp"] = "harmonic"  # ours, 5x faster; "mlp" is the paper's
+    filter_width: int = 8  # channels inside the filter
+    vn_layers: int = 3  # layers of each VN MLP
+    embedding: int = 128  # width of the scalar embedding π
+    conditions: int = 0  # m, real conditions ρ at each vertex
+    blocks: tuple[int, int, int] | None = None  # fine in, coarse, fine out; None: from the vertex count
+    steps: int = 1000  # T
+    beta_start: float = 1e-4  # linear schedule: ᾱ_T = 4e-5
+    beta_end: float = 2e-2
+    precision: Precision = "bfloat16"
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The textured mesh an FLDM learns, and how it is triangulated."""
+
+    path: str = ""  # a .glb, .gltf, .obj or .ply file; empty: the vase that flx makes itself
+    texture: str | None = None  # an image to use instead of the file's own
+    vertices: int = 30_000
+    copies: int = 500  # independent triangulations
+    slots: int = 16  # most neighbours of a vertex, itself included
+    up: Literal["y", "z"] = "y"  # for the pictures only
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Images:
+    """The images an FL-VAE learns, and the planar meshes laid over them."""
+
+    folder: str = ""
+    queries: int = 16  # points asked of each one-ring
+    smallest: float = 2.0  # pixels from the vertex to its ring, least and most
+    largest: float = 24.0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Train:
+    """The optimiser and the rhythm of a run."""
+
+    steps: int = 300_000
+    batch: int = 16  # mesh copies, or one-rings
+    learning_rate: float = 1e-3  # cosine to `final_learning_rate`
+    final_learning_rate: float = 1e-5
+    warmup: int = 0  # steps
+    clip: float = 0.0  # largest norm of the gradient; 0: no limit
+    ema: float = 0.999
+    checkpoint_every: int = 1000
+    log_every: int = 50
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class FLVAEExperiment:
+    """Train a field-latent VAE on a folder of images."""
+
+    name: str = "flvae"
+    model: FLVAE = field(default_factory=FLVAE)
+    kl_weight: float = 0.01
+    images: Images = field(default_factory=Images)
+    train: Train = field(default_factory=lambda: Train(steps=1_500_000))
+
+
+@dataclass(frozen=True)
+class FLDMExperiment:
+    """Train a field-latent diffusion model on one textured mesh."""
+
+    name: str = "fldm"
+    model: FLDM = field(default_factory=FLDM)
+    surface: Surface = field(default_factory=Surface)
+    train: Train = field(default_factory=Train)
+    weights: str | None = None  # an FL-VAE file; None: the released one
+
+
+Experiment = FLVAEExperiment | FLDMExperiment

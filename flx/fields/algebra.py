@@ -1,0 +1,93 @@
+"""The algebra of tangent vectors: complex numbers in the frames of their own vertices.
+
+Every function commutes with a change of frame, x ↦ e^{iα}x. Weights are real: a complex one is its
+(re, im) pair, because plain optimisers step along the conjugate of a complex gradient.
+"""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Complex, Complex64, Float, Float32
+
+Precision = Literal["bfloat16", "float32"]
+
+
+def tangent_noise(key: Array, shape: tuple[int, ...]) -> Complex64[Array, "..."]:
+    """ε = ε₁ + iε₂ with ε₁, ε₂ ~ N(0, 1), so that E|ε|² = 2 and E|ε| = √(π/2) (paper, eq. 1)."""
+    pair = jax.random.normal(key, (*shape, 2))
+    return jax.lax.complex(pair[..., 0], pair[..., 1])
+
+
+def unit(x: Complex[Array, "*V"], delta: float = 1e-12) -> Complex[Array, "*V"]:
+    """x / √(|x|² + δ): the direction without an angle, smooth at zero."""
+    return x * jax.lax.rsqrt(squared_modulus(x) + delta)
+
+
+def squared_modulus(x: Complex[Array, "*V"]) -> Float[Array, "*V"]:
+    """|x|², whose gradient at zero is zero, where that of |x| is not a number."""
+    return jnp.real(x) ** 2 + jnp.imag(x) ** 2
+
+
+def inner(x: Complex[Array, "*V"], y: Complex[Array, "*V"]) -> Float[Array, "*V"]:
+    """Re(x̄ y): the inner product of two tangent vectors, invariant under a change of frame."""
+    return jnp.real(x) * jnp.real(y) + jnp.imag(x) * jnp.imag(y)
+
+
+def real_pairs(x: Complex[Array, "*V C"]) -> Float[Array, "*V C2"]:
+    """The real parts of all channels, then the imaginary parts."""
+    return jnp.concatenate([jnp.real(x), jnp.imag(x)], -1)
+
+
+def dense(x: Float[Array, "*V C"], weight: Float[Array, "C D"], precision: Precision) -> Float[Array, "*V D"]:
+    """x W with inputs of the given precision and float32 sums; float64 inputs stay float64."""
+    if precision == "float32" or x.dtype == jnp.float64:
+        return jnp.dot(x, weight.astype(x.dtype), precision=jax.lax.Precision.HIGHEST)
+    low = jnp.bfloat16
+    return jnp.dot(x.astype(low), weight.astype(low), preferred_element_type=jnp.float32)
+
+
+def complex_linear(
+    x: Complex[Array, "*V C"], weight: Float32[Array, "2 C D"], precision: Precision = "float32"
+) -> Complex[Array, "*V D"]:
+    """x W as one real matrix product, (x_re, x_im) [[W_re, W_im], [−W_im, W_re]].
+
+    No bias: a constant vector would not turn with the frame. `weight` stacks the real and imaginary parts.
+    """
+    real, imaginary = weight
+    stacked = jnp.concatenate(
+        [jnp.concatenate([real, imaginary], 1), jnp.concatenate([-imaginary, real], 1)], 0
+    )
+    y_re, y_im = jnp.split(dense(real_pairs(x), stacked, precision), 2, -1)
+    return jax.lax.complex(y_re, y_im)
+
+
+def vn_nonlinearity(
+    q: Complex[Array, "*V C"], k: Complex[Array, "*V C"], delta: float = 1e-6
+) -> Complex[Array, "*V C"]:
+    """Q + ReLU(−⟨Q, K⟩) / (|K|² + δ) · K: what of Q points against K is cut away (paper, VN nonlinearity)."""
+    return q + (jax.nn.relu(-inner(q, k)) / (squared_modulus(k) + delta)) * k
+
+
+def response_norm(
+    x: Complex[Array, "V C"], masses: Float[Array, "V"], scale: Float[Array, "2 C"], delta: Float[Array, "C"]
+) -> Complex[Array, "V C"]:
+    """a X / √(E|X|² + δ) for each channel, E the mean over the surface (paper, filter response norm).
+
+    `masses` sum to 1 and are 0 at spare vertices; `scale` is a as a (re, im) pair.
+    """
+    power = jnp.einsum("v,vc->c", masses, squared_modulus(x))
+    a = jax.lax.complex(scale[0], scale[1])
+    return x * (a * jax.lax.rsqrt(power + delta))
+
+
+def token_norm(
+    x: Complex[Array, "*V C"], scale: Float[Array, "2 C"], delta: float = 1e-6
+) -> Complex[Array, "*V C"]:
+    """a X / √(E_c|X_c|² + δ), E the mean over the channels of each token.
+
+    Paper: a mean over p ∈ M, which in the encoder would tie a vertex's code to its batch. Pointwise here.
+    """
+    power = jnp.mean(squared_modulus(x), -1, keepdims=True)
+    return x * jax.lax.complex(scale[0], scale[1]) * jax.lax.rsqrt(power + delta)

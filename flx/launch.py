@@ -1,0 +1,195 @@
+"""The `flx` command: one launcher for everything.
+
+  flx doctor MESH          what is in a mesh file, and what would be repaired
+  flx train CONFIG.py      prepare (cached) and train; the same command resumes
+  flx sample RUN           new textures from a run
+  flx reconstruct MESH     a texture through the FL-VAE and back, with its metrics
+  flx bench                timings of this machine
+
+Exit status: 0 done, 1 failed on the way, 2 wrong input. Errors are one line; `--verbose` adds the traceback.
+"""
+
+import importlib.util
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from flx.config import Experiment, FLDMExperiment, FLVAEExperiment
+
+# JAX is imported inside the commands: `--help` and `doctor` stay quick, and the processes that build
+# copies of a mesh import this file too.
+
+Positional = tyro.conf.Positional
+
+
+def doctor(mesh: Positional[Path], /, texture: Path | None = None, json: bool = False) -> None:
+    """Say what is in a mesh file and what would be repaired. Writes nothing.
+
+    Example: flx doctor bowl.glb
+
+    Args:
+        mesh: A .glb, .gltf, .obj or .ply file.
+        texture: An image to use instead of the file's own.
+        json: Print one JSON object.
+    """
+    from flx.mesh.assets import describe, read_asset
+
+    report = read_asset(mesh, texture).report
+    print(_json(report._asdict()) if json else describe(report))
+
+
+def sample(
+    run: Positional[Path],
+    /,
+    count: int = 4,
+    seed: int = 0,
+    sampler: Literal["ancestral", "ddim"] = "ddim",
+    steps: int = 50,
+    texture_size: int | None = None,
+    out: Path | None = None,
+) -> None:
+    """Make new textures: variation_00.glb ..., their atlases, a contact sheet and samples.json.
+
+    Example: flx sample runs/demo --count 4
+
+    Args:
+        run: A run folder of `flx train`.
+        count: How many variations.
+        seed: Variation n hangs on the seed and n alone.
+        sampler: "ancestral" takes all steps of the schedule, "ddim" as many as `steps`.
+        steps: Steps of the DDIM sampler.
+        texture_size: Pixels on the atlas' longer side; the input's, at most 2048, unless given.
+        out: Folder to write to; RUN/samples unless given.
+    """
+    from flx.pipeline.sample import sample as draw
+
+    print(draw(run, count, seed, sampler, steps, texture_size, out))
+
+
+def reconstruct(
+    mesh: Positional[Path],
+    /,
+    vertices: int = 30_000,
+    texture: Path | None = None,
+    texture_size: int | None = None,
+    weights: str | None = None,
+    up: Literal["y", "z"] = "y",
+    seed: int = 0,
+    out: Path | None = None,
+) -> None:
+    """Send a texture through the FL-VAE and back, and print its metrics as JSON.
+
+    Example: flx reconstruct bowl.glb --vertices 30000 --out bowl-there-and-back
+
+    Args:
+        mesh: A .glb, .gltf, .obj or .ply file.
+        vertices: Of the triangulation that carries the latents.
+        texture: An image to use instead of the file's own.
+        texture_size: Pixels on the atlas' longer side; the input's, at most 2048, unless given.
+        weights: An FL-VAE file; the released one unless given.
+        up: The axis that points up in the pictures.
+        seed: Of the triangulation.
+        out: Folder to write to; MESH-VERTICES unless given.
+    """
+    from flx.pipeline.evaluate import reconstruct as there_and_back
+
+    print(_json(there_and_back(mesh, vertices, texture, texture_size, weights, seed, up, out)))
+
+
+def bench() -> None:
+    """Time this machine and print one JSON object.
+
+    Example: flx bench > bench.json
+    """
+    from flx.pipeline.bench import denoiser_rows, machine
+
+    print(_json({"rows": denoiser_rows(), "machine": machine()}))
+
+
+def train(arguments: Sequence[str]) -> None:
+    """flx train CONFIG.py [--train.steps 2000 ...]: every field of the config is an option."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(train.__doc__)
+        print("\nExample: flx train experiments/demo.py --train.steps 500\n")
+        print("flx train CONFIG.py --help lists the fields of that config.")
+        return
+    path, rest = Path(arguments[0]), list(arguments[1:])
+    experiment = read_config(path)
+    experiment = tyro.cli(
+        Annotated[type(experiment), tyro.conf.arg(name="")],  # pyright: ignore
+        prog=f"flx train {path}",
+        default=experiment,
+        args=rest,
+    )
+    from flx.pipeline.learn import learn
+
+    print(learn(experiment, Path("runs")).folder)
+
+
+def read_config(path: Path) -> Experiment:
+    """Run an experiment file, with the user's rights, and return its `config`.
+
+    Raises ValueError where there is no such file or it makes no experiment.
+    """
+    if path.suffix != ".py" or not path.is_file():
+        raise ValueError(f"{path} is not a config file; give a Python file such as experiments/demo.py")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    config = getattr(module, "config", None)
+    if not isinstance(config, FLVAEExperiment | FLDMExperiment):
+        raise ValueError(f"{path} defines no experiment; let it set `config = FLDMExperiment(...)`")
+    return config
+
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "doctor": doctor,
+    "train": train,
+    "sample": sample,
+    "reconstruct": reconstruct,
+    "bench": bench,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; return the exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    verbose = "--verbose" in words
+    words = [word for word in words if word != "--verbose"]
+    if not words or words[0] in ("-h", "--help"):
+        print(__doc__)
+        return 0 if words else 2
+    if words[0] not in COMMANDS:
+        return _complain(f"there is no command {words[0]!r}; say one of {', '.join(COMMANDS)}", 2)
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    try:
+        if words[0] == "train":
+            train(words[1:])
+        else:
+            tyro.cli(COMMANDS[words[0]], prog=f"flx {words[0]}", args=words[1:])
+    except (ValueError, OSError, FloatingPointError, MemoryError) as error:
+        if verbose:
+            traceback.print_exc()
+        wrong_input = isinstance(error, ValueError | FileNotFoundError | IsADirectoryError)
+        return _complain(" ".join(str(error).split()) or type(error).__name__, 2 if wrong_input else 1)
+    return 0
+
+
+def _complain(message: str, status: int) -> int:
+    print(f"flx: {message}", file=sys.stderr)
+    return status
+
+
+def _json(value: dict[str, Any]) -> str:
+    return json.dumps(value, indent=2)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Geometry: NumPy, SciPy and libigl in float64; never imports jax."""

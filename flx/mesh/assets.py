@@ -1,0 +1,378 @@
+"""The door: a textured mesh file in, a validated `TexturedMesh` and a report out; and the same file back with
+new colours.
+
+`flx.mesh.formats` reads the file, `flx.mesh.repair` makes a manifold of it and counts what it does,
+`flx.mesh.glb` writes. Original rows are kept in `Asset.parts`: what is written is the file's own geometry,
+never the repaired one.
+
+Texture coordinates run right and down. Images are decoded at once, to 8-bit RGB; alpha is kept aside for
+the output. Factors that multiply a texture are ignored, and left as they are.
+"""
+
+import hashlib
+import io
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int, UInt8
+from PIL import Image
+
+from flx.mesh import glb
+from flx.mesh.formats import READERS, Contents
+from flx.mesh.gltf import BadFile, Gltf, Paint, Part
+from flx.mesh.repair import Repairs, repair, shape
+from flx.types import TexturedMesh
+
+MOST_PIXELS = 8192 * 8192
+
+
+class Texture(NamedTuple):
+    """What an RGB image of the mesh leaves out."""
+
+    name: str
+    alpha: UInt8[Any, "H W"] | None
+    flat: bool  # made from a material's colour: never replaced
+
+
+class Report(NamedTuple):
+    """What was in the file and what was repaired. Plain numbers and words, for JSON (`_asdict`)."""
+
+    path: str
+    format: str
+    parts: int
+    materials: int
+    vertices_read: int  # rows; of an OBJ, distinct combinations of v, vt and vn
+    faces_read: int
+    nonfinite_faces: int
+    welded_vertices: int
+    degenerate_faces: int
+    ear_faces: int
+    duplicate_faces: int
+    unused_vertices: int
+    nonmanifold_edges: int
+    disagreeing_edges: int
+    split_vertices: int
+    vertices: int
+    faces: int
+    components: int
+    boundary_edges: int
+    boundary_loops: int
+    euler: int
+    sliver_faces: int
+    flat_uv_faces: int  # no area on the texture
+    outside_uv_faces: int  # a corner outside [0, 1]: the texture repeats there
+    color_source: str  # "texture" or "vertex colours"
+    textures: tuple[str, ...]
+    missing_images: tuple[str, ...]  # of other maps; the reference is kept as it is
+
+
+class Asset(NamedTuple):
+    """A mesh to work on, and all that is needed to give the file back with other colours."""
+
+    path: Path
+    mesh: TexturedMesh
+    report: Report
+    parts: tuple[Part, ...]
+    paints: tuple[Paint, ...]  # by `Part.material`
+    textures: tuple[Texture, ...]  # beside `mesh.textures`
+    corner_vertices: Int[Any, "F 3"]  # the original vertex of each corner, counted through the parts
+    container: Gltf | None  # the file, if it was GLB or glTF
+    digest: str  # SHA-256 of geometry and colours
+
+
+# ---------------------------------------------------------------------------------------------- reading
+
+
+def read_asset(path: str | Path, texture: str | Path | None = None) -> Asset:
+    """Reads, repairs and reports. `texture` takes the place of the file's one base colour image, or of none.
+
+    Raises FileNotFoundError, or ValueError where the file has no triangles, no colour, an unreadable part or
+    more than one image for `texture` to replace.
+    """
+    path = Path(path)
+    reader = READERS.get(path.suffix.lower())
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist; name a mesh file ({', '.join(READERS)})")
+    if reader is None or not path.is_file():
+        raise ValueError(f"{path} is not a mesh file; give one of {', '.join(READERS)}")
+    if path.stat().st_size == 0:
+        raise ValueError(f"{path} is empty; export it again")
+    try:
+        contents = _read_contents(path, reader)
+        _check(contents)
+        images, textures, texture_of = _choose_textures(contents, None if texture is None else Path(texture))
+        return _assemble(path, contents, images, textures, texture_of)
+    except FileNotFoundError as fault:
+        raise ValueError(
+            f"{path}: {fault.filename} does not exist; put it there, or pass --texture"
+        ) from fault
+    except ValueError as fault:
+        raise ValueError(f"{path}: {fault}") from fault
+
+
+def _read_contents(path: Path, reader: Callable[[Path], Contents]) -> Contents:
+    """Whatever a parser stumbles over, in one line."""
+    try:
+        return reader(path)
+    except (BadFile, FileNotFoundError):
+        raise
+    except Exception as fault:
+        what = " ".join(f"{type(fault).__name__}: {fault}".split())[:200]
+        raise ValueError(f"cannot be read ({what}); export it again") from fault
+
+
+def _check(contents: Contents) -> None:
+    """Indices in range and finite texture coordinates, which nothing later looks at."""
+    if not sum(len(part.faces) for part in contents.parts):
+        raise ValueError("no triangles; export the mesh with faces")
+    for part in contents.parts:
+        if len(part.faces) and not 0 <= part.faces.min() <= part.faces.max() < len(part.positions):
+            worst = part.faces.max() if part.faces.min() >= 0 else part.faces.min()
+            raise ValueError(
+                f"a face of {part.name!r} names vertex {worst} of {len(part.positions)}; export it again"
+            )
+        if part.uvs is not None and not np.isfinite(part.uvs).all():
+            row = int(np.flatnonzero(~np.isfinite(part.uvs).all(1))[0])
+            raise ValueError(f"texture coordinate {row} of {part.name!r} is not finite; unwrap it again")
+
+
+def _choose_textures(
+    contents: Contents, override: Path | None
+) -> tuple[list[UInt8[Any, "_ _ 3"]], list[Texture], dict[int, int]]:
+    """Images, what goes with them, and the image of each material in use. No images: vertex colours."""
+    used = sorted({part.material for part in contents.parts if len(part.faces)})
+    wanted = {m: name for m in used if (name := contents.materials[m].image) is not None}
+    names = list(dict.fromkeys(wanted.values()))
+    if override is not None:
+        if len(names) > 1:
+            raise ValueError(f"{len(names)} base colour images, --texture replaces one; edit the materials")
+        names, wanted = [str(override)], dict.fromkeys(wanted or used, str(override))
+    elif not names and any(part.colors is not None for part in contents.parts):
+        return [], [], {}
+    elif not names:
+        raise ValueError(f"no texture and no vertex colours ({contents.hint}); pass --texture IMAGE")
+    for part in contents.parts:
+        if part.uvs is None and part.material in wanted and len(part.faces):
+            raise ValueError(f"{part.name!r} has a texture but no texture coordinates; unwrap it first")
+
+    images, textures = [], []
+    for name in names:
+        content = contents.load_image(name) if override is None else override.read_bytes()
+        rgb, alpha = decode_image(content, name)
+        images.append(rgb)
+        textures.append(Texture(name, alpha, flat=False))
+    texture_of = {m: names.index(name) for m, name in wanted.items()}
+    for material in used:
+        if material not in texture_of:
+            texture_of[material] = len(images)
+            color = np.rint(255 * np.array(contents.materials[material].color)).astype(np.uint8)
+            images.append(np.tile(color, (4, 4, 1)))
+            textures.append(Texture(contents.materials[material].name, None, flat=True))
+    return images, textures, texture_of
+
+
+def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[Any, "H W"] | None]:
+    """8-bit RGB, and alpha where it says anything. 16-bit grey is scaled, never clipped.
+
+    Raises ValueError for more than `MOST_PIXELS`, and for what Pillow cannot decode.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(io.BytesIO(content))
+    except Image.DecompressionBombError as fault:
+        raise ValueError(f"image {name!r} has too many pixels; reduce it to 8192 × 8192") from fault
+    except OSError as fault:
+        raise ValueError(f"image {name!r} is of no known kind; save it as PNG or JPEG") from fault
+    if image.width * image.height > MOST_PIXELS:
+        raise ValueError(
+            f"image {name!r} has {image.width} × {image.height} pixels; reduce it to 8192 × 8192"
+        )
+    try:
+        image.load()
+    except (OSError, SyntaxError, ValueError) as fault:
+        raise ValueError(f"image {name!r} is broken ({fault}); save it again") from fault
+    if image.mode.startswith("I"):
+        image = Image.fromarray(np.rint(np.asarray(image) / 257).clip(0, 255).astype(np.uint8))
+    elif image.mode == "F":
+        raise ValueError(f"image {name!r} holds floating point numbers; save it as 8-bit PNG")
+    alpha = None
+    if image.has_transparency_data:
+        image = image.convert("RGBA")
+        alpha = np.asarray(image)[..., 3].copy()
+        alpha = None if (alpha == 255).all() else alpha
+    return np.asarray(image.convert("RGB")).copy(), alpha
+
+
+def _assemble(
+    path: Path,
+    contents: Contents,
+    images: list[UInt8[Any, "_ _ 3"]],
+    textures: list[Texture],
+    texture_of: dict[int, int],
+) -> Asset:
+    """Parts stacked, repaired, and their corners coloured."""
+    parts = [part for part in contents.parts if len(part.faces)]
+    offsets = np.cumsum([0, *(len(part.positions) for part in parts)])
+    faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=False)])
+    points = np.concatenate([part.positions for part in parts])
+    fixed = repair(points, faces)
+    corners = faces[fixed.sources]
+    materials = np.repeat([part.material for part in parts], [len(part.faces) for part in parts])
+
+    uvs = np.concatenate([np.zeros((len(p.positions), 2)) if p.uvs is None else p.uvs for p in parts])
+    colors = np.concatenate(
+        [
+            np.tile(np.array(contents.materials[p.material].color, np.float32), (len(p.positions), 1))
+            if p.colors is None
+            else p.colors
+            for p in parts
+        ]
+    )
+    mesh = TexturedMesh(
+        vertices=fixed.vertices,
+        faces=fixed.faces,
+        corner_uvs=uvs[corners] if images else np.zeros((len(corners), 3, 2)),
+        face_textures=np.array([texture_of.get(int(m), 0) for m in materials[fixed.sources]]),
+        textures=tuple(images),
+        corner_colors=np.zeros((len(corners), 3, 3), np.float32) if images else colors[corners],
+    )
+    paints = [Paint(m.name, texture_of.get(i, -1), m.color) for i, m in enumerate(contents.materials)]
+    return Asset(
+        path=path,
+        mesh=mesh,
+        report=_report(path, contents, parts, mesh, textures, fixed.repairs),
+        parts=tuple(parts),
+        paints=tuple(paints),
+        textures=tuple(textures),
+        corner_vertices=corners,
+        container=contents.container,
+        digest=_digest(mesh),
+    )
+
+
+def _digest(mesh: TexturedMesh) -> str:
+    """The content of the mesh: what prepared tables and runs depend on, wherever the file lies."""
+    digest = hashlib.sha256()
+    for array in (*mesh[:4], *mesh.textures, mesh.corner_colors):
+        digest.update(f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _report(
+    path: Path,
+    contents: Contents,
+    parts: list[Part],
+    mesh: TexturedMesh,
+    textures: list[Texture],
+    repairs: Repairs,
+) -> Report:
+    u, v = np.moveaxis(mesh.corner_uvs, -1, 0)
+    area = (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0])
+    outside = ((mesh.corner_uvs < 0) | (mesh.corner_uvs > 1)).any((1, 2))
+    painted = ~np.array([t.flat for t in textures] or [True])[mesh.face_textures]
+    sizes = [f"{t.name}: {i.shape[1]} × {i.shape[0]}" for t, i in zip(textures, mesh.textures, strict=True)]
+    return Report(
+        path=str(path),
+        format=path.suffix[1:].upper(),
+        parts=len(parts),
+        materials=len({part.material for part in parts}),
+        vertices_read=sum(len(part.positions) for part in parts),
+        faces_read=sum(len(part.faces) for part in parts),
+        **repairs._asdict(),
+        vertices=len(mesh.vertices),
+        faces=len(mesh.faces),
+        **shape(mesh.vertices, mesh.faces)._asdict(),
+        flat_uv_faces=int((painted & (np.abs(area) <= 1e-14)).sum()),
+        outside_uv_faces=int((painted & outside).sum()),
+        color_source="texture" if textures else "vertex colours",
+        textures=tuple(f"{s} (flat)" if t.flat else s for s, t in zip(sizes, textures, strict=True)),
+        missing_images=contents.missing_images,
+    )
+
+
+LINES = (
+    ("faces dropped: corner not finite", "nonfinite_faces"),
+    ("vertices welded by position", "welded_vertices"),
+    ("faces dropped: a corner twice", "degenerate_faces"),
+    ("faces dropped: doubled ears", "ear_faces"),
+    ("faces dropped: duplicates", "duplicate_faces"),
+    ("vertices dropped: no face", "unused_vertices"),
+    ("edges cut: more than two faces", "nonmanifold_edges"),
+    ("edges cut: orientations disagree", "disagreeing_edges"),
+    ("vertices added by cuts", "split_vertices"),
+    ("sliver faces, kept", "sliver_faces"),
+    ("faces without area on the texture", "flat_uv_faces"),
+    ("faces that leave [0, 1], repeated", "outside_uv_faces"),
+)
+
+
+def describe(report: Report) -> str:
+    """The report as lines of text; repairs that were not needed are left out."""
+    lines = [
+        ("file", f"{report.path} ({report.format}), {report.parts} parts, {report.materials} materials"),
+        ("read", f"{report.vertices_read:,} vertices, {report.faces_read:,} faces"),
+        *((label, f"{getattr(report, key):,}") for label, key in LINES if getattr(report, key)),
+        ("mesh", f"{report.vertices:,} vertices, {report.faces:,} faces, {report.components} components"),
+        ("boundary", f"{report.boundary_edges:,} edges in {report.boundary_loops} loops"),
+        ("Euler characteristic", str(report.euler)),
+        ("colour", report.color_source),
+        *(("texture", name) for name in report.textures),
+        *(("missing image, not needed", name) for name in report.missing_images),
+    ]
+    width = max(len(label) for label, _ in lines)
+    return "\n".join(f"{label:<{width}}  {value}" for label, value in lines)
+
+
+# ---------------------------------------------------------------------------------------------- writing
+
+
+def write_glb(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | Path) -> None:
+    """The asset as one GLB, with `images` in the place of `mesh.textures` (of any size; alpha is resized).
+
+    Images of materials that had only a flat colour are not written. Raises ValueError where the number of
+    images is wrong, or the asset has vertex colours.
+    """
+    if not asset.textures or len(images) != len(asset.textures):
+        raise ValueError(
+            f"{asset.path} has {len(asset.textures)} textures, {len(images)} images given; "
+            "give one for each, or vertex colours to write_glb_colors"
+        )
+    pngs = {i: _png(images[i], t.alpha) for i, t in enumerate(asset.textures) if not t.flat}
+    if asset.container is None:
+        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, pngs)
+    else:
+        shown = {i: paint.texture for i, paint in enumerate(asset.paints) if paint.texture in pngs}
+        file = glb.replace_base_color(asset.container, shown, pngs)
+    glb.write_file(glb.glb_bytes(file), Path(path))
+
+
+def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
+    """The asset as one GLB, with an sRGB colour for each original vertex (see `Asset.corner_vertices`).
+
+    Raises ValueError where their number is not `report.vertices_read`.
+    """
+    if len(colors) != asset.report.vertices_read:
+        raise ValueError(
+            f"{len(colors)} colours for {asset.report.vertices_read} vertices; give one for each"
+        )
+    ends = np.cumsum([len(part.positions) for part in asset.parts])
+    each = np.split(colors, ends[:-1])
+    if asset.container is None:
+        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, {}, each)
+    else:
+        origins = [part.origin for part in asset.parts]
+        file = glb.replace_colors(asset.container, dict(zip(origins, each, strict=True)))
+    glb.write_file(glb.glb_bytes(file), Path(path))
+
+
+def _png(image: UInt8[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:
+    picture = Image.fromarray(image)
+    if alpha is not None:
+        picture.putalpha(Image.fromarray(alpha).resize(picture.size, Image.Resampling.BILINEAR))
+    content = io.BytesIO()
+    picture.save(content, format="PNG")
+    return content.getvalue()

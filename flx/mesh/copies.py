@@ -1,0 +1,82 @@
+"""Triangulated copies of a textured mesh, and how points of the mesh look from a copy's vertices.
+
+The work of one process of a pool: `begin` hands over the mesh once, `make_copy` takes a seed.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from flx.mesh.tables import mesh_tables
+from flx.mesh.tangent import corner_logs, tangent_frames
+from flx.mesh.texels import face_normals, locate, positions, ring_points, surface_colors
+from flx.mesh.triangulations import remesh
+from flx.types import MeshTables, Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
+
+
+class Copy(NamedTuple):
+    """One triangulation of the surface, its gather tables, and colours sampled in its one-rings."""
+
+    triangulation: Triangulation
+    tables: MeshTables
+    rings: RingSamples
+
+
+def make_copy(mesh: TexturedMesh, vertices: int, samples: int, slots: int, seed: int) -> Copy:
+    """Remesh to `vertices`, build the tables and sample `samples` colours in every one-ring.
+
+    Same seed, same bits. Raises ValueError where the mesh cannot be triangulated so or a ring has more than
+    `slots` slots.
+    """
+    triangulation = remesh(mesh.vertices, mesh.faces, vertices, seed)
+    tables = mesh_tables(triangulation, slots=slots, seed=seed)
+    return Copy(triangulation, tables, sample_rings(mesh, triangulation, samples, seed))
+
+
+def sample_rings(mesh: TexturedMesh, triangulation: Triangulation, samples: int, seed: int) -> RingSamples:
+    """Colours of `mesh` at points uniform by area in each one-ring of the copy."""
+    points, corners = ring_points(triangulation, samples, np.random.default_rng(seed))
+    frames = tangent_frames(triangulation)
+    logs = corner_logs(frames, triangulation, points.faces, points.barycentrics)
+    hits = transfer(points, triangulation.vertices, triangulation.faces, mesh.vertices, mesh.faces)
+    logs = np.take_along_axis(logs, corners.reshape(-1, 1), axis=1).reshape(corners.shape)
+    return RingSamples(logs.astype(np.complex64), surface_colors(mesh, hits).reshape(*corners.shape, 3))
+
+
+def queries(mesh: TexturedMesh, points: SurfacePoints, triangulation: Triangulation) -> Queries:
+    """Points of the mesh as the decoder is asked for them: seen from the corners of a copy's faces."""
+    hits = transfer(points, mesh.vertices, mesh.faces, triangulation.vertices, triangulation.faces)
+    logs = corner_logs(tangent_frames(triangulation), triangulation, hits.faces, hits.barycentrics)
+    return Queries(
+        triangulation.faces[hits.faces].astype(np.int32),
+        logs.astype(np.complex64),
+        hits.barycentrics.astype(np.float32),
+    )
+
+
+def transfer(
+    points: SurfacePoints,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    onto_vertices: np.ndarray,
+    onto_faces: np.ndarray,
+) -> SurfacePoints:
+    """The closest points of another triangulation that face the same way."""
+    where = positions(vertices, faces, points)
+    normals = face_normals(vertices, faces)[points.faces]
+    return locate(where, normals, onto_vertices, onto_faces)
+
+
+_mesh: TexturedMesh | None = None  # of this process of the pool
+
+
+def begin(mesh: TexturedMesh) -> None:
+    """Keep the mesh for this process: it is sent once, not with every task."""
+    global _mesh
+    _mesh = mesh
+
+
+def make_copy_here(vertices: int, samples: int, slots: int, seed: int) -> Copy:
+    """`make_copy` of the mesh that `begin` was given."""
+    assert _mesh is not None
+    return make_copy(_mesh, vertices, samples, slots, seed)

@@ -1,0 +1,311 @@
+"""The glTF 2.0 container, read whole: its document, its bytes, its triangles.
+
+`Gltf` holds the JSON document as it was read and the bytes of every buffer view; external and `data:` buffers
+and images are taken in, so that it can always be written as one self-contained file. Nothing is interpreted
+that need not be: what this project does not know (extras, extensions, animations) passes through untouched.
+
+Our own reader, not trimesh's, for three reasons: a material must be known by its index to be patched,
+texture coordinates must be the file's own bits (trimesh's flip rounds them), and `texCoord` sets,
+KHR_texture_transform and normalised integers are ignored there. COLOR_0 is linear light in the file
+(glTF 2.0, section 3.7.2.1), sRGB here. `flx.mesh.glb` patches and writes.
+"""
+
+import base64
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote_to_bytes
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int, Num
+
+COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+MIME_TYPES = {
+    b"\x89PN": "image/png",
+    b"\xff\xd8\xff": "image/jpeg",
+    b"RIF": "image/webp",
+    b"\xabKT": "image/ktx2",
+}
+TRIANGLES, STRIP, FAN = 4, 5, 6
+
+
+class BadFile(ValueError):
+    """A fault of the file that is known by name: its message says what to do about it."""
+
+
+class Gltf(NamedTuple):
+    """A glTF file with all its bytes at hand; `document["bufferViews"][i]` describes `views[i]`."""
+
+    document: dict
+    views: tuple[bytes, ...]
+
+
+class Part(NamedTuple):
+    """The triangles of one material, as the file holds them: what every format is read into."""
+
+    name: str
+    material: int  # index into the materials of the asset
+    positions: Float64[Any, "V 3"]  # in the scene: node transforms applied
+    normals: Float64[Any, "V 3"] | None  # None where the container keeps them
+    uvs: Float64[Any, "V 2"] | None  # right and down
+    colors: Float32[Any, "V 3"] | None  # sRGB
+    faces: Int[Any, "F 3"]
+    origin: tuple[int, int] = (-1, -1)  # glTF: node, primitive
+
+
+class Paint(NamedTuple):
+    """What a material looks like: the index of a texture, or −1 and a flat sRGB colour."""
+
+    name: str
+    texture: int
+    color: tuple[float, float, float]
+
+
+def srgb(linear: Num[Any, "..."]) -> Float64[Any, "..."]:
+    """Linear light to sRGB, [0, 1] (IEC 61966-2-1)."""
+    x = np.clip(np.asarray(linear, np.float64), 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def linear(color: Num[Any, "..."]) -> Float64[Any, "..."]:
+    """sRGB to linear light, [0, 1]: the inverse of `srgb`."""
+    x = np.clip(np.asarray(color, np.float64), 0, 1)
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+
+
+# ---------------------------------------------------------------------------------------------- reading
+
+
+def inside(folder: Path, name: str) -> Path:
+    """A file that another file names, which must lie in the same folder or below it.
+
+    Raises BadFile where the name leads out of the folder: a mesh must not read its user's other files.
+    """
+    path = (folder / name.replace("\\", "/")).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise BadFile(f"{name!r} lies outside {folder}; copy it there, or pass --texture")
+    return path
+
+
+def read_gltf(path: Path) -> Gltf:
+    """GLB or glTF, told apart by their first bytes. Images that cannot be found keep their `uri`.
+
+    Raises BadFile for compressed geometry and for a broken or missing buffer.
+    """
+    data = path.read_bytes()
+    document, chunk = _chunks(data) if data[:4] == b"glTF" else (json.loads(data.decode("utf-8-sig")), b"")
+    if compressed := COMPRESSION & set(document.get("extensionsUsed", [])):
+        raise BadFile(f"its geometry is compressed ({min(compressed)}); save it without compression")
+    buffers = [_resource(b["uri"], path.parent) if "uri" in b else chunk for b in document.get("buffers", [])]
+    views = []
+    for view in document.get("bufferViews", []):
+        start = view.get("byteOffset", 0)
+        views.append(buffers[view["buffer"]][start : start + view["byteLength"]])
+        if len(views[-1]) < view["byteLength"]:
+            raise BadFile(f"buffer view {len(views) - 1} ends past its buffer; export the file again")
+    for image in document.get("images", []):
+        try:
+            content = _resource(image["uri"], path.parent) if "uri" in image else None
+        except OSError:
+            continue
+        if content is not None:
+            image["mimeType"] = MIME_TYPES.get(content[:3], image.get("mimeType", "image/png"))
+            image["bufferView"] = append_view(document, views, content)
+            del image["uri"]
+    return Gltf(document, tuple(views))
+
+
+def _chunks(data: bytes) -> tuple[dict, bytes]:
+    """The JSON and the binary chunk of a GLB."""
+    version, total = struct.unpack_from("<II", data, 4)
+    if version != 2 or total > len(data):
+        raise BadFile(f"GLB version {version}, {len(data)} of {total} bytes; export it again as glTF 2.0")
+    chunks, at = {}, 12
+    while at + 8 <= total:
+        length, kind = struct.unpack_from("<I4s", data, at)
+        chunks.setdefault(kind, data[at + 8 : at + 8 + length])
+        at += 8 + length
+    return json.loads(chunks[b"JSON"]), chunks.get(b"BIN\0", b"")
+
+
+def _resource(uri: str, folder: Path) -> bytes:
+    """The bytes behind a URI: `data:`, or a file in the folder of the asset. Never the network."""
+    if uri.startswith("data:"):
+        head, _, body = uri.partition(",")
+        return base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
+    return inside(folder, unquote_to_bytes(uri).decode()).read_bytes()
+
+
+def append(document: dict, key: str, entry: dict) -> int:
+    """Adds an entry to one of the document's lists and returns its index."""
+    document.setdefault(key, []).append(entry)
+    return len(document[key]) - 1
+
+
+def append_view(document: dict, views: list[bytes], content: bytes) -> int:
+    """Adds a buffer view; where it lies in the buffer is settled when the file is written."""
+    views.append(content)
+    return append(document, "bufferViews", {"buffer": 0, "byteLength": len(content)})
+
+
+def accessor(gltf: Gltf, index: int) -> Num[Any, "N C"]:
+    """The rows of an accessor in their own dtype, sparse ones filled in; normalised integers as float32."""
+    entry = gltf.document["accessors"][index]
+    width, count, sparse = WIDTHS[entry["type"]], entry["count"], entry.get("sparse")
+    if "bufferView" in entry:
+        rows = _rows(gltf, entry, entry["componentType"], width, count)
+    elif sparse:
+        rows = np.zeros((count, width), COMPONENTS[entry["componentType"]])
+    else:
+        raise BadFile(f"accessor {index} has no data; save the file without compression")
+    if sparse:
+        where = _rows(gltf, sparse["indices"], sparse["indices"]["componentType"], 1, sparse["count"])
+        rows[where[:, 0]] = _rows(gltf, sparse["values"], entry["componentType"], width, sparse["count"])
+    if entry.get("normalized"):
+        rows = np.maximum(rows / np.float32(np.iinfo(rows.dtype).max), -1).astype(np.float32)
+    return rows
+
+
+def _rows(gltf: Gltf, entry: dict, component: int, width: int, count: int) -> Num[Any, "N C"]:
+    dtype, view = np.dtype(COMPONENTS[component]), entry["bufferView"]
+    stride = gltf.document["bufferViews"][view].get("byteStride", dtype.itemsize * width)
+    if count < 1 or (count - 1) * stride + dtype.itemsize * width > len(gltf.views[view]):
+        raise BadFile(f"{count} rows do not fit into buffer view {view}; export the file again")
+    return np.ndarray(
+        (count, width), dtype, gltf.views[view], entry.get("byteOffset", 0), (stride, dtype.itemsize)
+    ).copy()
+
+
+def scene_nodes(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"]]]:
+    """Every node of the default scene, once, with its transform to the scene."""
+    nodes, seen = document.get("nodes", []), set()
+    children = {child for node in nodes for child in node.get("children", [])}
+    scenes = document.get("scenes") or [{"nodes": [i for i in range(len(nodes)) if i not in children]}]
+    stack = [(i, np.eye(4)) for i in reversed(scenes[document.get("scene", 0)].get("nodes", []))]
+    while stack:
+        index, parent = stack.pop()
+        if index in seen:
+            continue
+        seen.add(index)
+        world = parent @ _local_transform(nodes[index])
+        yield index, world
+        stack.extend((child, world) for child in reversed(nodes[index].get("children", [])))
+
+
+def _local_transform(node: dict) -> Float64[Any, "4 4"]:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = np.array(node.get("rotation", [0, 0, 0, 1]), np.float64)
+    transform = np.eye(4)
+    transform[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    transform[:3, :3] *= np.array(node.get("scale", [1, 1, 1]), np.float64)
+    transform[:3, 3] = node.get("translation", [0, 0, 0])
+    return transform
+
+
+def parts(gltf: Gltf) -> list[Part]:
+    """Every triangle primitive of the default scene, in the scene's frame.
+
+    A primitive without a material gets index `len(materials)`, the specification's default. A transform that
+    mirrors turns the faces round, so that they stay counter-clockwise. Skins and morph targets rest.
+    """
+    document, found = gltf.document, []
+    materials = document.get("materials", [])
+    for node, world in scene_nodes(document):
+        if "mesh" not in document["nodes"][node]:
+            continue
+        mesh = document["meshes"][document["nodes"][node]["mesh"]]
+        for number, primitive in enumerate(mesh["primitives"]):
+            faces = _faces(gltf, primitive)
+            if faces is None:
+                continue
+            attributes = primitive["attributes"]
+            points = accessor(gltf, attributes["POSITION"]).astype(np.float64)
+            mirrored = np.linalg.det(world[:3, :3]) < 0
+            material = primitive.get("material", len(materials))
+            found.append(
+                Part(
+                    name=mesh.get("name", f"mesh {document['nodes'][node]['mesh']}"),
+                    material=material,
+                    positions=points @ world[:3, :3].T + world[:3, 3],
+                    normals=None,
+                    uvs=_uvs(
+                        gltf, attributes, base_slot(materials[material]) if "material" in primitive else {}
+                    ),
+                    colors=_colors(gltf, attributes),
+                    faces=faces[:, ::-1].copy() if mirrored else faces,
+                    origin=(node, number),
+                )
+            )
+    return found
+
+
+def _faces(gltf: Gltf, primitive: dict) -> Int[Any, "F 3"] | None:
+    mode = primitive.get("mode", TRIANGLES)
+    if mode not in (TRIANGLES, STRIP, FAN):
+        return None
+    if "indices" in primitive:
+        order = accessor(gltf, primitive["indices"])[:, 0].astype(np.int64)
+    else:
+        order = np.arange(gltf.document["accessors"][primitive["attributes"]["POSITION"]]["count"])
+    if mode == TRIANGLES:
+        return order.reshape(-1, 3)
+    if mode == FAN:
+        return np.stack([np.full(len(order) - 2, order[0]), order[1:-1], order[2:]], 1)
+    strip = np.stack([order[:-2], order[1:-1], order[2:]], 1)
+    strip[1::2, :2] = strip[1::2, 1::-1]
+    return strip
+
+
+def _uvs(gltf: Gltf, attributes: dict, slot: dict) -> Float64[Any, "V 2"] | None:
+    """The coordinates the base colour texture is read at: its own set, under KHR_texture_transform."""
+    transform = slot.get("extensions", {}).get("KHR_texture_transform", {})
+    name = f"TEXCOORD_{transform.get('texCoord', slot.get('texCoord', 0))}"
+    if name not in attributes:
+        return None
+    u, v = (accessor(gltf, attributes[name]).astype(np.float64) * transform.get("scale", [1, 1])).T
+    c, s = np.cos(transform.get("rotation", 0)), np.sin(transform.get("rotation", 0))
+    return np.stack([c * u + s * v, c * v - s * u], 1) + transform.get("offset", [0, 0])
+
+
+def _colors(gltf: Gltf, attributes: dict) -> Float32[Any, "V 3"] | None:
+    if "COLOR_0" not in attributes:
+        return None
+    return srgb(accessor(gltf, attributes["COLOR_0"])[:, :3]).astype(np.float32)
+
+
+def base_slot(material: dict) -> dict:
+    """The texture reference of a material's base colour; empty where it has none."""
+    gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+    return (
+        material.get("pbrMetallicRoughness", {}).get("baseColorTexture") or gloss.get("diffuseTexture") or {}
+    )
+
+
+def base_color(material: dict) -> tuple[float, float, float]:
+    """The flat colour of a material, in sRGB."""
+    r, g, b = srgb(np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1])[:3]))
+    return float(r), float(g), float(b)
+
+
+def texture_image(document: dict, texture: int) -> int:
+    """The image a texture shows: of EXT_texture_webp, else its source; −1 without either."""
+    entry = document["textures"][texture]
+    webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
+    return webp.get("source", entry.get("source", -1))
+
+
+def image_bytes(gltf: Gltf, image: int) -> bytes:
+    """The encoded image. Raises BadFile naming the file where it was not found."""
+    entry = gltf.document["images"][image]
+    if "bufferView" not in entry:
+        raise BadFile(f"image {entry.get('uri')!r} is missing; put it there, or pass --texture")
+    return bytes(gltf.views[entry["bufferView"]])

@@ -1,0 +1,165 @@
+"""From the triangles of a file to a manifold, oriented mesh; every change is counted.
+
+In this order: faces with non-finite corners dropped; vertices welded by position; faces with a repeated
+corner dropped; doubled ears dropped; faces with the corners of an earlier one dropped; vertices split until
+every edge joins at most two faces of agreeing orientation and every vertex has one fan. Slivers of no area
+are kept and counted: dropping one would open the surface. No face is turned round: neighbours that disagree
+are cut apart.
+"""
+
+from typing import Any, NamedTuple
+
+import igl
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+WELD_TOLERANCE = 1e-9  # of the diagonal: round-off of a float64 transform, far below a float32 step
+
+
+class Repairs(NamedTuple):
+    """What was done, in the order it was done."""
+
+    nonfinite_faces: int  # dropped
+    welded_vertices: int  # merged into another one at the same place
+    degenerate_faces: int  # dropped: a corner twice
+    ear_faces: int  # dropped: two with the same corners, hanging from a surface that is whole without them
+    duplicate_faces: int  # dropped: the corners of an earlier face, either way round
+    unused_vertices: int  # dropped: no face
+    nonmanifold_edges: int  # cut: three faces or more
+    disagreeing_edges: int  # cut: two faces that run along it in the same direction
+    split_vertices: int  # added by the cuts, and at vertices where separate fans met
+
+
+class Shape(NamedTuple):
+    """The topology of a manifold mesh."""
+
+    components: int
+    boundary_edges: int
+    boundary_loops: int
+    euler: int
+    sliver_faces: int  # no area
+
+
+class Repaired(NamedTuple):
+    """The mesh, and for each of its faces the row of the input it was."""
+
+    vertices: Float64[Any, "V 3"]
+    faces: Int[Any, "F 3"]
+    sources: Int[Any, "F"]
+    repairs: Repairs
+
+
+def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
+    """For each point the first one at the same place, within `WELD_TOLERANCE` of the diagonal."""
+    unique, first, inverse = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
+    tolerance = WELD_TOLERANCE * np.linalg.norm(np.ptp(unique, axis=0))
+    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")
+    _, group = connected_components(_graph(pairs, len(unique)), directed=False)
+    lowest = np.full(len(unique), len(points))
+    np.minimum.at(lowest, group, first)
+    return lowest[group][inverse.reshape(-1)]
+
+
+def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
+    """A manifold, oriented mesh of the same triangles (see the module), in the order of the input.
+
+    Raises ValueError where no triangle is left.
+    """
+    finite = np.isfinite(points).all(1)
+    sources = np.flatnonzero(finite[faces].all(1))
+    nonfinite = len(faces) - len(sources)
+    representative = np.arange(len(points))
+    kept = np.flatnonzero(finite)
+    if len(kept):
+        representative[kept] = kept[weld(points[kept])]
+    corners = representative[faces[sources]]
+
+    proper = (corners != np.roll(corners, 1, axis=1)).all(1)
+    degenerate = int((~proper).sum())
+    corners, sources = corners[proper], sources[proper]
+    ears = _doubled_ears(corners)
+    corners, sources = corners[~ears], sources[~ears]
+    _, first = np.unique(np.sort(corners, 1), axis=0, return_index=True)
+    duplicate = len(corners) - len(first)
+    first.sort()
+    corners, sources = corners[first], sources[first]
+    if len(corners) == 0:
+        raise ValueError(
+            f"no triangles: of {len(faces)}, {nonfinite} non-finite, {degenerate} degenerate; export it again"
+        )
+
+    used, compact = np.unique(corners, return_inverse=True)
+    compact = compact.reshape(corners.shape)
+    several, disagreeing = _bad_edges(compact)
+    split, place = map(np.asarray, igl.split_nonmanifold(compact.astype(np.int64)))
+    order = np.argsort(place, kind="stable")  # the file's order, as far as there is one
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    repairs = Repairs(
+        nonfinite_faces=nonfinite,
+        welded_vertices=int((representative[kept] != kept).sum()),
+        degenerate_faces=degenerate,
+        ear_faces=int(ears.sum()),
+        duplicate_faces=duplicate,
+        unused_vertices=len(np.unique(representative)) - len(used),
+        nonmanifold_edges=several,
+        disagreeing_edges=disagreeing,
+        split_vertices=len(place) - len(used),
+    )
+    return Repaired(points[used[place[order]]], rank[split], sources, repairs)
+
+
+def shape(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Shape:
+    """Components, boundary and Euler characteristic of a manifold mesh without unused vertices."""
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, count = np.unique(np.sort(directed, 1), axis=0, return_counts=True)
+    components, _ = connected_components(_graph(edges, len(vertices)), directed=False)
+    rim = edges[count == 1]
+    _, compact = np.unique(rim, return_inverse=True)
+    loops = 0
+    if len(rim):
+        loops, _ = connected_components(
+            _graph(compact.reshape(-1, 2), int(compact.max()) + 1), directed=False
+        )
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.maximum(((b - a) ** 2).sum(1), np.maximum(((c - a) ** 2).sum(1), ((c - b) ** 2).sum(1)))
+    return Shape(
+        components=int(components),
+        boundary_edges=len(rim),
+        boundary_loops=int(loops),
+        euler=len(vertices) - len(edges) + len(faces),
+        sliver_faces=int((area <= 1e-12 * longest).sum()),
+    )
+
+
+def _doubled_ears(faces: Int[Any, "F 3"]) -> Bool[Any, "F"]:
+    """Pairs of faces with the same corners that hang from a surface which is whole without them.
+
+    Decimation leaves such ears, closed on themselves, at a vertex of valence two. A sheet whose back is
+    modelled is made of pairs too, but there a pair has pairs for neighbours: one of each stays.
+    """
+    _, group, count = np.unique(np.sort(faces, 1), axis=0, return_inverse=True, return_counts=True)
+    pair = count[group.reshape(-1)] == 2
+    _, edge = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1), axis=0, return_inverse=True)
+    edge = edge.reshape(-1, 3)
+    size = edge.max(initial=0) + 1
+    paired = np.bincount(edge[pair].reshape(-1), minlength=size)[edge]
+    others = np.bincount(edge[~pair].reshape(-1), minlength=size)[edge]
+    hanging = (others == 2).any(1) & ((others == 0) | (others == 2)).all(1)
+    return pair & hanging & (paired == 2).all(1)
+
+
+def _bad_edges(faces: Int[Any, "F 3"]) -> tuple[int, int]:
+    """Edges of three faces or more; edges of two faces that both run from the same end."""
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    _, edge, count = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
+    forward = np.bincount(edge.reshape(-1), directed[:, 0] < directed[:, 1], minlength=len(count))
+    return int((count > 2).sum()), int(((count == 2) & (forward != 1)).sum())
+
+
+def _graph(edges: Int[Any, "E 2"], size: int) -> coo_array:
+    return coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(size, size))

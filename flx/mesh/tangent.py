@@ -1,0 +1,175 @@
+"""Intrinsic tangent geometry: frames, log maps, parallel transport, masses.
+
+Only edge lengths matter: a sheet folded along its edges has the geometry of the flat one. A tangent vector
+at p is a complex number in p's frame, whose x axis is the first edge of p's ordered one-ring; angles run
+counter-clockwise about the outward normal. Corner angles are summed in ring order and rescaled so that they
+add up to 2π at interior vertices; at the boundary they are left alone, so flat meshes stay flat.
+
+Triangulations are manifold and oriented, open or closed, of any number of components; rings are ragged,
+padded here with -1 to the largest. Float64 throughout.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex128, Float64, Int
+
+from flx.types import Triangulation
+
+
+class TangentFrames(NamedTuple):
+    """Every vertex's frame and the neighbours seen in it. N is the largest number of neighbours."""
+
+    neighbors: Int[Any, "V N"]  # counter-clockwise, from one boundary edge to the other; spare: -1
+    reverse: Int[Any, "V N"]  # the place of p among the neighbours of its k-th neighbour; spare: k
+    directions: Complex128[Any, "V N"]  # e^{iθ_p(q)}; spare: 1
+    lengths: Float64[Any, "V N"]  # |pq| in the units of the mesh; spare: 0
+    corner_angles: Float64[Any, "F 3"]  # flat, radians
+    corner_starts: Float64[Any, "F 3"]  # θ of the edge that leaves corner i towards corner i + 1
+    scales: Float64[Any, "V"]  # 2π / total angle at interior vertices, 1 at the boundary
+    boundary: Bool[Any, "V"]
+
+
+def vertex_masses(triangulation: Triangulation) -> Float64[Any, "V"]:
+    """A third of the area of the faces around each vertex, in the units of the mesh."""
+    thirds = np.repeat(_face_areas(triangulation) / 3, 3)
+    return np.bincount(triangulation.faces.ravel(), thirds, minlength=len(triangulation.vertices))
+
+
+def mean_vertex_radius(triangulation: Triangulation) -> float:
+    """r̄ = √(A / (π V)), the unit of every length: the radius of a disc of the mean vertex's area."""
+    return float(np.sqrt(_face_areas(triangulation).sum() / (np.pi * len(triangulation.vertices))))
+
+
+def tangent_frames(triangulation: Triangulation) -> TangentFrames:
+    """Order the one-rings and lay the rescaled corner angles along them.
+
+    A corner is c = 3 face + i, at vertex faces[face, i]. Turning counter-clockwise about its vertex, the next
+    corner is the one whose outgoing edge is this one's incoming edge, reversed; all vertices turn at once.
+
+    Raises:
+      ValueError: an edge is run through twice in one direction, or a vertex joins two fans of faces.
+    """
+    vertices, faces = triangulation.vertices, triangulation.faces.astype(np.int64)
+    count = len(vertices)
+    at, to, back = faces.ravel(), np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
+    following = _following_corners(at, to, back, count)
+    corner_angles = _corner_angles(triangulation)
+    angles = corner_angles.ravel()
+
+    corners = np.arange(len(at))
+    first = np.full(count, -1)
+    first[at[::-1]] = corners[::-1]  # interior vertices start at their first corner
+    opens = np.ones(len(at), bool)
+    opens[following[following >= 0]] = False
+    boundary = np.ones(count, bool)  # a vertex without faces counts as boundary
+    boundary[at] = False
+    boundary[at[opens]] = True
+    first[at[opens]] = corners[opens]
+
+    degrees = np.bincount(at, minlength=count)
+    width = int((degrees + boundary).max(initial=0))
+    neighbors = np.full((count, width), -1)
+    theta = np.zeros((count, width))
+    starts = np.zeros(len(at))
+    total = np.zeros(count)
+    seen = np.zeros(count, np.int64)
+    turning = np.flatnonzero(first >= 0)
+    corner = first[turning]
+    for k in range(width):
+        if not len(turning):
+            break
+        neighbors[turning, k] = to[corner]
+        theta[turning, k] = starts[corner] = total[turning]
+        total[turning] += angles[corner]
+        seen[turning] += 1
+        after = following[corner]
+        last = turning[after < 0]
+        if len(last):  # the second boundary edge
+            neighbors[last, k + 1] = back[corner[after < 0]]
+            theta[last, k + 1] = total[last]
+        onward = (after >= 0) & (after != first[turning])
+        turning, corner = turning[onward], after[onward]
+    if (seen != degrees).any():
+        vertex = int(np.flatnonzero(seen != degrees)[0])
+        raise ValueError(f"vertex {vertex} joins several fans of faces; split it before measuring tangents")
+
+    scales = np.ones(count)
+    scales[~boundary] = 2 * np.pi / total[~boundary]
+    spare = neighbors < 0
+    lengths = np.linalg.norm(vertices[neighbors] - vertices[:, None], axis=2)
+    return TangentFrames(
+        neighbors=neighbors,
+        reverse=_reverse_places(neighbors),
+        directions=np.exp(1j * theta * scales[:, None]),
+        lengths=np.where(spare, 0.0, lengths),
+        corner_angles=corner_angles,
+        corner_starts=(starts * scales[at]).reshape(-1, 3),
+        scales=scales,
+        boundary=boundary,
+    )
+
+
+def transports(frames: TangentFrames) -> Complex128[Any, "V N"]:
+    """P_{p←q} = e^{i(θ_p(q) + π − θ_q(p))}: the edge pq keeps its course through both frames. Spare: 1."""
+    seen_from_neighbor = frames.directions[frames.neighbors, frames.reverse]
+    return np.where(frames.neighbors < 0, 1.0, -frames.directions * seen_from_neighbor.conj())
+
+
+def corner_logs(
+    frames: TangentFrames,
+    triangulation: Triangulation,
+    faces: Int[Any, "P"],
+    barycentrics: Float64[Any, "P 3"],
+) -> Complex128[Any, "P 3"]:
+    """The log of each point from the three corners of its face, in mean vertex radii.
+
+    Flat distance inside the face; the flat angle from the edge i → i+1 is scaled as the vertex's corners are,
+    so that logs agree along the edges between faces.
+    """
+    corners = triangulation.faces[faces]
+    points = triangulation.vertices[corners]
+    to_next = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=2)
+    flat = np.roll(barycentrics, -1, axis=1) * to_next  # corner i has edge i → i+1 along its x axis
+    flat = flat + np.roll(barycentrics * to_next, -2, axis=1) * np.exp(1j * frames.corner_angles[faces])
+    angle = frames.corner_starts[faces] + frames.scales[corners] * np.angle(flat)
+    return np.abs(flat) * np.exp(1j * angle) / mean_vertex_radius(triangulation)
+
+
+def _face_areas(triangulation: Triangulation) -> Float64[Any, "F"]:
+    a, b, c = triangulation.vertices[triangulation.faces.T]
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def _corner_angles(triangulation: Triangulation) -> Float64[Any, "F 3"]:
+    """Angles from both sine and cosine: the arc cosine of edge lengths loses half the digits of slivers."""
+    points = triangulation.vertices[triangulation.faces]
+    out, back = np.roll(points, -1, axis=1) - points, np.roll(points, -2, axis=1) - points
+    return np.arctan2(np.linalg.norm(np.cross(out, back), axis=2), (out * back).sum(axis=2))
+
+
+def _following_corners(
+    at: Int[Any, "C"], to: Int[Any, "C"], back: Int[Any, "C"], count: int
+) -> Int[Any, "C"]:
+    """The next corner counter-clockwise about the same vertex; -1 where the boundary ends the fan."""
+    if not len(at):
+        return at
+    leaving, arriving = at * count + to, at * count + back
+    order = np.argsort(leaving, kind="stable")
+    ordered = leaving[order]
+    if (twice := np.flatnonzero(ordered[1:] == ordered[:-1])).size:
+        p, q = divmod(int(ordered[twice[0]]), count)
+        raise ValueError(f"edge {p} → {q} has two faces on one side; make the mesh manifold and oriented")
+    place = np.minimum(np.searchsorted(ordered, arriving), len(ordered) - 1)
+    return np.where(ordered[place] == arriving, order[place], -1)
+
+
+def _reverse_places(neighbors: Int[Any, "V N"]) -> Int[Any, "V N"]:
+    """Sorted by (p, q) and by (q, p), the i-th edge of one order is the i-th of the other, reversed."""
+    count, width = neighbors.shape
+    p, k = np.nonzero(neighbors >= 0)
+    q = neighbors[p, k]
+    forth, back = np.argsort(p * count + q), np.argsort(q * count + p)
+    reverse = np.tile(np.arange(width), (count, 1))
+    reverse[p[forth], k[forth]] = k[back]
+    return reverse

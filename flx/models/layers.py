@@ -1,0 +1,115 @@
+"""The layers that both models share: parameters around the equations of `flx.fields.algebra`."""
+
+from typing import NamedTuple, Self
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Complex, Float
+
+from flx.fields import algebra
+from flx.fields.algebra import Precision
+
+
+class Posterior(NamedTuple):
+    """Isotropic Gaussians in the tangent plane: a vector mean, a scalar deviation per real coordinate."""
+
+    mean: Complex[Array, "*B D"]
+    log_sigma: Float[Array, "*B D"]
+
+    @classmethod
+    def starting_small(cls, mean: Complex[Array, "*B D"], log_sigma: Float[Array, "*B D"]) -> Self:
+        """Untrained heads give 0: σ = e⁻³, so that the first codes are not drowned in their own noise."""
+        return cls(mean, log_sigma - 3.0)
+
+    def sample(self, key: Array) -> Complex[Array, "*B D"]:
+        """z = μ + σ ε (reparameterisation)."""
+        return self.mean + jnp.exp(self.log_sigma) * algebra.tangent_noise(key, self.mean.shape)
+
+
+def complex_initializer(key: Array, shape: tuple[int, ...], dtype: type = jnp.float32) -> Array:
+    """(re, im) pairs of normal numbers with E|w|² = 1/fan_in: the second moment of a vector is kept."""
+    return jax.random.normal(key, shape, dtype) / jnp.sqrt(2.0 * shape[-2])
+
+
+class ComplexDense(nn.Module):
+    """A complex linear map without bias: one parameter, (re, im) pairs [2, C, features]."""
+
+    features: int
+    precision: Precision = "float32"
+    kernel_init: nn.initializers.Initializer = complex_initializer
+
+    @nn.compact
+    def __call__(self, x: Complex[Array, "*V C"]) -> Complex[Array, "*V D"]:
+        kernel = self.param("kernel", self.kernel_init, (2, x.shape[-1], self.features))
+        return algebra.complex_linear(x, kernel, self.precision)
+
+
+class RealDense(nn.Module):
+    """A real linear map with bias."""
+
+    features: int
+    precision: Precision = "float32"
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*V C"]) -> Float[Array, "*V D"]:
+        kernel = self.param("kernel", nn.initializers.lecun_normal(), (x.shape[-1], self.features))
+        bias = self.param("bias", nn.initializers.zeros, (self.features,))
+        return algebra.dense(x, kernel, self.precision) + bias
+
+
+class RealMLP(nn.Module):
+    """Real dense layers with SiLU between them and none after the last."""
+
+    widths: tuple[int, ...]
+    precision: Precision = "float32"
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*V C"]) -> Float[Array, "*V D"]:
+        for i, width in enumerate(self.widths):
+            x = RealDense(width, self.precision)(x if i == 0 else nn.silu(x))
+        return x
+
+
+class VNLayer(nn.Module):
+    """Two complex linear maps Q, K (one matrix product) and the VN nonlinearity."""
+
+    features: int
+    precision: Precision = "float32"
+
+    @nn.compact
+    def __call__(self, x: Complex[Array, "*V C"]) -> Complex[Array, "*V D"]:
+        q, k = jnp.split(ComplexDense(2 * self.features, self.precision)(x), 2, -1)
+        return algebra.vn_nonlinearity(q, k)
+
+
+def unit_scale(key: Array, shape: tuple[int, ...]) -> Array:
+    """The complex number 1 in every channel, as (re, im) pairs [2, C]."""
+    del key
+    return jnp.stack([jnp.ones(shape[1:]), jnp.zeros(shape[1:])])
+
+
+class FieldNorm(nn.Module):
+    """Filter response normalisation over the surface: learnt a ∈ ℂ and δ > 0 for each channel."""
+
+    @nn.compact
+    def __call__(self, x: Complex[Array, "V C"], masses: Float[Array, "V"]) -> Complex[Array, "V C"]:
+        scale = self.param("scale", unit_scale, (2, x.shape[-1]))
+        delta = self.param("delta", nn.initializers.constant(1e-3), (x.shape[-1],))
+        return algebra.response_norm(x, masses, scale, jnp.abs(delta) + 1e-6)
+
+
+class TokenNorm(nn.Module):
+    """Normalisation of each token by itself."""
+
+    @nn.compact
+    def __call__(self, x: Complex[Array, "*V C"]) -> Complex[Array, "*V C"]:
+        return algebra.token_norm(x, self.param("scale", unit_scale, (2, x.shape[-1])))
+
+
+def timestep_features(t: Float[Array, ""], width: int) -> Float[Array, "width"]:
+    """Cosines and sines of t at `width`/2 frequencies from 1 to 10⁻⁴ (Vaswani et al.)."""
+    half = width // 2
+    frequencies = jnp.exp(-jnp.log(1e4) * jnp.arange(half) / (half - 1))
+    return jnp.concatenate([jnp.cos(t * frequencies), jnp.sin(t * frequencies)])

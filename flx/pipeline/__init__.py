@@ -1,0 +1,1 @@
+"""Side effects: disk, devices, clocks."""

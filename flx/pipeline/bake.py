@@ -1,0 +1,136 @@
+"""From latents to an asset: colours decoded wherever the asset shows them, in files and in pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Complex64, Float32, UInt8
+from PIL import Image
+
+from flx.mesh.assets import Asset, write_glb, write_glb_colors
+from flx.mesh.copies import queries
+from flx.mesh.render import contact_sheet, render
+from flx.mesh.texels import Atlas, atlas_texels, paint
+from flx.pipeline.codec import Codec
+from flx.pipeline.runs import write_atomically
+from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
+
+LARGEST = 2048  # pixels on the longer side of an atlas, unless more are asked for
+VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
+
+
+class Baked(NamedTuple):
+    """New colours of an asset: an image for each of its textures, or a colour for each of its vertices."""
+
+    images: tuple[UInt8[Any, "_ _ 3"], ...]
+    colors: Float32[Any, "V 3"]
+
+
+class Canvas(NamedTuple):
+    """Where an asset shows colours, as the decoder is asked for them on one triangulation."""
+
+    asset: Asset
+    atlases: tuple[Atlas | None, ...]  # None: a flat material, left alone
+    points: Queries
+
+
+def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | None = None) -> Canvas:
+    """Find every texel (or vertex) of the asset on the triangulation.
+
+    `texture_size`: pixels on the longer side; None: as the input has, at most `LARGEST`.
+    """
+    mesh = asset.mesh
+    if not mesh.textures:
+        return Canvas(asset, (), queries(mesh, _vertex_points(asset)[1], triangulation))
+    atlases = tuple(
+        None if texture.flat else atlas_texels(mesh, index, *atlas_size(mesh.textures[index], texture_size))
+        for index, texture in enumerate(asset.textures)
+    )
+    points = [atlas.points for atlas in atlases if atlas]
+    joined = SurfacePoints(*(np.concatenate(part) for part in zip(*points, strict=True)))
+    return Canvas(asset, atlases, queries(mesh, joined, triangulation))
+
+
+def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[int, int]:
+    """Height and width of a new atlas: the input's shape, its longer side as asked."""
+    longer = max(image.shape[:2])
+    wanted = texture_size or min(longer, LARGEST)
+    height, width = (max(1, round(side * wanted / longer)) for side in image.shape[:2])
+    return height, width
+
+
+def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Baked:
+    """Decode the latents at every texel and fill the gutters."""
+    colors = codec.decode(canvas.points, z)
+    asset = canvas.asset
+    if not canvas.atlases:
+        whole = _own_colors(asset)
+        whole[_vertex_points(asset)[0]] = colors
+        return Baked((), whole)
+    images, start = [], 0
+    for atlas, image in zip(canvas.atlases, asset.mesh.textures, strict=True):
+        if atlas is None:
+            images.append(image)
+            continue
+        background = resized(image, atlas.height, atlas.width)
+        images.append(paint(atlas, colors[start : start + len(atlas.rows)], background))
+        start += len(atlas.rows)
+    return Baked(tuple(images), np.zeros((0, 3), np.float32))
+
+
+def bake_back(asset: Asset) -> Baked:
+    """The asset's own colours."""
+    return Baked(asset.mesh.textures, _own_colors(asset))
+
+
+def resized(image: UInt8[Any, "H W 3"], height: int, width: int) -> UInt8[Any, "_ _ 3"]:
+    """The image at another size, each pixel the mean of what it covers."""
+    if image.shape[:2] == (height, width):
+        return image
+    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))
+
+
+def shown(asset: Asset, baked: Baked) -> TexturedMesh:
+    """The asset's surface with the new colours, to be rendered."""
+    if baked.images:
+        return asset.mesh._replace(textures=baked.images)
+    return asset.mesh._replace(corner_colors=baked.colors[asset.corner_vertices])
+
+
+def write_baked(asset: Asset, baked: Baked, path: Path) -> None:
+    """A GLB with the asset's own geometry, coordinates and materials, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if baked.images:
+        write_glb(asset, baked.images, path)
+    else:
+        write_glb_colors(asset, baked.colors, path)
+
+
+def write_png(path: Path, image: UInt8[Any, "H W 3"]) -> None:
+    """A PNG, whole or not at all."""
+    write_atomically(path, lambda torn: Image.fromarray(image).save(torn))
+
+
+def side_by_side(
+    asset: Asset, baked: Sequence[Baked], captions: Sequence[str], up: str, size: int = 384
+) -> UInt8[Any, "_ _ 3"]:
+    """Renders of the input and of each new texture in columns, a view in each row."""
+    meshes = [asset.mesh, *(shown(asset, b) for b in baked)]
+    rows = [
+        [render(mesh, azimuth=a, elevation=e, size=size, up=up) for mesh in meshes]  # pyright: ignore
+        for a, e in VIEWS
+    ]
+    return contact_sheet(rows, ["input", *captions])
+
+
+def _vertex_points(asset: Asset) -> tuple[np.ndarray, SurfacePoints]:
+    """The original vertices that faces use, and one corner of the surface where each is."""
+    vertices, first = np.unique(asset.corner_vertices, return_index=True)
+    return vertices, SurfacePoints(first // 3, np.eye(3)[first % 3])
+
+
+def _own_colors(asset: Asset) -> Float32[Any, "V 3"]:
+    colors = np.zeros((asset.report.vertices_read, 3), np.float32)
+    colors[asset.corner_vertices.ravel()] = asset.mesh.corner_colors.reshape(-1, 3)
+    return colors

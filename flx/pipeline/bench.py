@@ -1,0 +1,83 @@
+"""Timings of this machine for `flx bench`: rows of a name, seconds and bytes."""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from flx.config import FLDM
+from flx.fields.algebra import tangent_noise
+from flx.fields.convolution import Filter
+from flx.mesh.tables import mesh_tables
+from flx.models.denoiser import Blocks, Denoiser
+from flx.types import MeshTables, Triangulation
+
+PAPER_BLOCKS = (2, 4, 4)
+
+
+def denoiser_rows(repeats: int = 5) -> list[dict[str, Any]]:
+    """One train step (loss, gradient, Adam) of the paper's network, batch 1, on a sphere of 2,562 vertices.
+
+    `temp_bytes`: what XLA allocates besides parameters, optimiser and tables.
+    """
+    tables = mesh_tables(_sphere(2562))
+    return [
+        _train_step(
+            f"train_step/{filter}/2562", FLDM(filter=cast(Filter, filter)), PAPER_BLOCKS, tables, repeats
+        )
+        for filter in ("harmonic", "mlp")
+    ]
+
+
+def _train_step(name: str, config: FLDM, blocks: Blocks, tables: MeshTables, repeats: int) -> dict[str, Any]:
+    tables = jax.tree.map(jnp.asarray, tables)
+    model, adam = Denoiser(config, blocks), optax.adam(1e-3)
+    z = tangent_noise(jax.random.key(0), (len(tables.fine.masses), config.latents))
+    t = jnp.float32(500.0)
+    params = jax.jit(model.init)(jax.random.key(1), tables, z, t)
+
+    def loss(params: Any) -> jax.Array:
+        error = jnp.asarray(model.apply(params, tables, z, t)) - z
+        return jnp.mean(jnp.real(error) ** 2 + jnp.imag(error) ** 2)
+
+    def step(params: Any, state: Any) -> tuple[Any, Any, jax.Array]:
+        value, gradient = jax.value_and_grad(loss)(params)
+        updates, state = adam.update(gradient, state)
+        return optax.apply_updates(params, updates), state, value
+
+    state = adam.init(params)
+    compile_seconds, compiled = _timed(lambda: jax.jit(step).lower(params, state).compile())
+    seconds = [_timed(lambda: jax.block_until_ready(compiled(params, state)))[0] for _ in range(repeats + 1)]
+    return {
+        "name": name,
+        "seconds": statistics.median(seconds[1:]),  # the first call warms up
+        "compile_seconds": compile_seconds,
+        "temp_bytes": compiled.memory_analysis().temp_size_in_bytes,
+        "parameters": sum(p.size for p in jax.tree.leaves(params)),
+    }
+
+
+def _timed(call: Callable[[], Any]) -> tuple[float, Any]:
+    start = time.perf_counter()
+    result = call()
+    return time.perf_counter() - start, result
+
+
+def _sphere(count: int) -> Triangulation:
+    """The convex hull of `count` points on a Fibonacci spiral: nearly all degrees are six."""
+    from scipy.spatial import ConvexHull
+
+    i = np.arange(count) + 0.5
+    z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
+    r = np.sqrt(1 - z * z)
+    vertices = np.stack([r * np.cos(angle), r * np.sin(angle), z], 1)
+    faces = ConvexHull(vertices).simplices.astype(np.int64)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = np.einsum("fd,fd->f", np.cross(b - a, c - a), a) < 0
+    faces[inward] = faces[inward][:, [0, 2, 1]]
+    return Triangulation(vertices, faces)

@@ -1,0 +1,116 @@
+"""The field-latent VAE in use: its weights on disk, meshes encoded, points decoded, in bounded memory."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax.traverse_util import flatten_dict, unflatten_dict
+from jaxtyping import Complex64, Float32
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from flx.config import FLVAE
+from flx.models.vae import FieldLatentVAE
+from flx.pipeline.runs import write_atomically
+from flx.types import Queries, RingSamples
+
+RELEASED = Path(__file__).parent.parent / "weights" / "flvae.safetensors"
+RINGS = 4096  # one-rings encoded at once
+POINTS = 32_768  # points decoded at once, three corners each
+
+
+class Codec(NamedTuple):
+    """A trained field-latent VAE."""
+
+    config: FLVAE
+    params: Any
+
+    def digest(self) -> str:
+        """SHA-256 of the weights."""
+        leaves = flatten_dict(self.params).items()
+        content = b"".join(repr(k).encode() + np.asarray(v).tobytes() for k, v in sorted(leaves))
+        return hashlib.sha256(content).hexdigest()
+
+    def encode(self, rings: RingSamples) -> Complex64[np.ndarray, "V D"]:
+        """The mean code of each one-ring, in the frame of its vertex."""
+        model = FieldLatentVAE(self.config)
+
+        def mean(params: Any, chunk: RingSamples) -> jax.Array:
+            return model.apply(params, chunk, method=FieldLatentVAE.encode).mean
+
+        return _in_chunks(jax.jit(mean), self.params, rings, RINGS)
+
+    def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
+        """Colours in [0, 1]: what the corners of each face predict, blended barycentrically."""
+        model = FieldLatentVAE(self.config)
+
+        def blend(params_z: tuple[Any, jax.Array], chunk: Queries) -> jax.Array:
+            params, z = params_z
+            predicted = model.apply(params, chunk.logs, z[chunk.vertices], method=FieldLatentVAE.decode)
+            return jnp.clip(jnp.einsum("pk,pkc->pc", chunk.barycentrics, predicted), 0, 1)
+
+        return _in_chunks(jax.jit(blend), (self.params, jnp.asarray(z)), queries, POINTS)
+
+
+def save_codec(path: Path, codec: Codec, card: dict[str, str]) -> None:
+    """Write weights, configuration and what is known of their making as one safetensors file."""
+    tensors = {
+        "/".join(name): np.asarray(value) for name, value in flatten_dict(codec.params["params"]).items()
+    }
+    metadata = {"flvae": json.dumps(asdict(codec.config)), **card}
+    write_atomically(path, save(tensors, metadata))
+
+
+def load_codec(path: str | Path | None = None) -> Codec:
+    """Read weights: the released ones, or a file of `save_codec`. Nothing in the file is executed.
+
+    Raises ValueError where the file is missing, damaged, or not an FL-VAE of this version.
+    """
+    path = Path(path) if path else RELEASED
+    try:
+        with safe_open(path, "numpy") as file:
+            config = FLVAE(**json.loads((file.metadata() or {})["flvae"]))
+            tensors = {tuple(name.split("/")): file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(
+            f"{path} holds no FL-VAE weights ({reason}); train some with `flx train experiments/flvae.py`, "
+            "or leave --weights out for the released ones"
+        ) from None
+    params = {"params": unflatten_dict(tensors)}
+    expected = jax.eval_shape(lambda: initial_params(config, 0))
+    shapes = {k: v.shape for k, v in tensors.items()}
+    wanted = {k: v.shape for k, v in flatten_dict(expected["params"]).items()}
+    if shapes != wanted:
+        odd = "/".join(sorted(k for k in shapes | wanted if shapes.get(k) != wanted.get(k))[0])
+        raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")
+    return Codec(config, jax.tree.map(jnp.asarray, params))
+
+
+def initial_params(config: FLVAE, seed: int) -> Any:
+    """Random parameters of an FL-VAE."""
+    key = jax.random.key(seed)
+    logs = jnp.zeros((1, config.samples), jnp.complex64)
+    rings = RingSamples(logs, jnp.zeros((1, config.samples, 3), jnp.float32))
+    return FieldLatentVAE(config).init(key, rings, logs[:, :1], key)
+
+
+def _in_chunks(function: Any, fixed: Any, arrays: Any, size: int) -> np.ndarray:
+    """Map `function(fixed, chunk)` over the leading axis; the last chunk is padded: one compilation."""
+    count = len(arrays[0])
+    size = min(size, max(count, 1))
+
+    def chunks() -> Iterator[np.ndarray]:
+        for start in range(0, count, size):
+            part = type(arrays)(*(np.asarray(a[start : start + size]) for a in arrays))
+            used = len(part[0])
+            padded = type(arrays)(*(np.concatenate([a, a[:1].repeat(size - used, 0)]) for a in part))
+            yield np.asarray(function(fixed, padded))[:used]
+
+    return np.concatenate(list(chunks()))

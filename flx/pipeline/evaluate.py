@@ -1,0 +1,122 @@
+"""How near a texture comes to another: metrics in the atlas, over the texels that show the surface."""
+
+import json
+import resource
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+from skimage.metrics import structural_similarity
+
+from flx.config import Surface
+from flx.mesh.assets import read_asset
+from flx.mesh.copies import make_copy
+from flx.mesh.texels import fill_gutter, with_filled_gutters
+from flx.pipeline.bake import (
+    Baked,
+    Canvas,
+    bake,
+    bake_back,
+    open_canvas,
+    resized,
+    side_by_side,
+    write_baked,
+    write_png,
+)
+from flx.pipeline.codec import load_codec
+from flx.pipeline.runs import write_atomically
+
+
+def reconstruct(
+    mesh: Path,
+    vertices: int = 30_000,
+    texture: Path | None = None,
+    texture_size: int | None = None,
+    weights: str | None = None,
+    seed: int = 0,
+    up: str = "y",
+    out: Path | None = None,
+) -> dict[str, Any]:
+    """Send a mesh's texture through the FL-VAE and back onto its own coordinates; return the metrics.
+
+    Writes reconstruction.glb, the atlas, side_by_side.png and metrics.json into `out`.
+    """
+    began = time.monotonic()
+    asset, codec = read_asset(mesh, texture), load_codec(weights)
+    surface = Surface(vertices=vertices, seed=seed)
+    copy = make_copy(with_filled_gutters(asset.mesh), vertices, codec.config.samples, surface.slots, seed)
+    canvas = open_canvas(asset, copy.triangulation, texture_size)
+    baked = bake(canvas, codec, codec.encode(copy.rings))
+    seconds = time.monotonic() - began
+
+    out = out or Path(f"{mesh.stem}-{vertices}")
+    metrics = {
+        "mesh": str(mesh),
+        "vertices": vertices,
+        **fidelity(canvas, baked),
+        "texture_sizes": [list(image.shape[:2]) for image in baked.images],
+        "seconds": round(seconds, 2),
+        "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+    }
+    write_baked(asset, baked, out / "reconstruction.glb")
+    for index, image in enumerate(baked.images):
+        write_png(out / (f"reconstruction_{index}.png" if index else "reconstruction.png"), image)
+    write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], up, 512))
+    write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
+    return metrics
+
+
+def fidelity(canvas: Canvas, baked: Baked) -> dict[str, float]:
+    """PSNR and DSSIM of new textures against the asset's own, over covered texels of all textures.
+
+    Vertex-coloured assets have no atlas, so no DSSIM: their PSNR is over the vertices.
+    """
+    asset = canvas.asset
+    if not canvas.atlases:
+        used = np.unique(asset.corner_vertices)
+        own = bake_back(asset).colors
+        return {"psnr": psnr(float(np.mean((own[used] - baked.colors[used]) ** 2)))}
+    errors, dissimilarities, weights = [], [], []
+    for atlas, own, new in zip(canvas.atlases, asset.mesh.textures, baked.images, strict=True):
+        if atlas is None or not len(atlas.rows):
+            continue
+        covered = np.zeros(new.shape[:2], bool)
+        covered[atlas.rows, atlas.columns] = True
+        error, dissimilarity = compare(resized(own, *new.shape[:2]), new, covered)
+        errors.append(error)
+        dissimilarities.append(dissimilarity)
+        weights.append(covered.sum())
+    return {
+        "psnr": psnr(float(np.average(errors, weights=weights))),
+        "dssim": float(np.average(dissimilarities, weights=weights)),
+    }
+
+
+def compare(
+    own: UInt8[Any, "H W 3"], new: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"]
+) -> tuple[float, float]:
+    """Mean squared error in [0, 1] and DSSIM = (1 − SSIM)/2 over the covered texels.
+
+    SSIM as Wang et al.: Gaussian windows of σ = 1.5. Both pictures get the same gutters, so that a window
+    at the rim of a chart compares colours of the surface alone.
+    """
+    own, new = (fill_gutter(image, covered).astype(np.float32) / 255 for image in (own, new))
+    error = float(np.mean((own - new)[covered] ** 2))
+    _, similarity = structural_similarity(
+        own,
+        new,
+        data_range=1.0,
+        channel_axis=-1,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        full=True,
+    )
+    return error, float((1 - similarity[covered].mean()) / 2)
+
+
+def psnr(mean_squared_error: float) -> float:
+    """−10 log₁₀ of the mean squared error of colours in [0, 1], in dB."""
+    return float(-10 * np.log10(max(mean_squared_error, 1e-12)))

@@ -1,0 +1,175 @@
+"""From an experiment to a run: what is learnt, from which batches, by which loss."""
+
+import hashlib
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float32
+from tqdm import tqdm
+
+from flx.config import FLDM, Experiment, FLDMExperiment, FLVAEExperiment, Surface
+from flx.fields import ddpm
+from flx.fields.algebra import squared_modulus, tangent_noise
+from flx.mesh.assets import Asset, read_asset
+from flx.mesh.tables import stack
+from flx.mesh.vase import write_vase
+from flx.models import frame
+from flx.models.denoiser import Denoiser, blocks_for, reach
+from flx.models.vae import FieldLatentVAE, flvae_loss
+from flx.pipeline.bake import bake_back, write_baked
+from flx.pipeline.codec import Codec, initial_params, load_codec, save_codec
+from flx.pipeline.images import ImageRings, RingBatch
+from flx.pipeline.prepare import Cache, Prepared, open_cache, prepare
+from flx.pipeline.runs import Run, open_run
+from flx.pipeline.train import LossFn, train
+from flx.types import MeshTables
+
+FIRST_RINGS = 16_384  # one-rings that the principal components are taken from
+
+
+def learn(experiment: Experiment, root: Path) -> Run:
+    """Train what the experiment describes, from where it was left; return its run folder under `root`."""
+    if isinstance(experiment, FLVAEExperiment):
+        return learn_flvae(experiment, root)
+    return learn_fldm(experiment, root)
+
+
+# --- the field-latent VAE
+
+
+def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
+    """Train a field-latent VAE on a folder of images; the run folder gets `flvae.safetensors`."""
+    rings = ImageRings(experiment.images, experiment.model, experiment.train.batch)
+    run = open_run(root, experiment, hashlib.sha256(rings.images.tobytes()).hexdigest())
+    model = FieldLatentVAE(experiment.model)
+
+    def loss(params: Any, batch: RingBatch, key: Array) -> tuple[Array, dict[str, Array]]:
+        predicted, posterior = model.apply(params, batch.rings, batch.queries, key)
+        return flvae_loss(batch.colors, predicted, posterior, experiment.kl_weight)
+
+    state = train(run, experiment.train, starting_params(experiment, rings), loss, rings)
+    card = {
+        "steps": str(experiment.train.steps),
+        "rings": str(experiment.train.steps * experiment.train.batch),
+        "images": str(len(rings.images)),
+        "kl_weight": str(experiment.kl_weight),
+    }
+    save_codec(run.folder / "flvae.safetensors", Codec(experiment.model, state.ema), card)
+    return run
+
+
+def starting_params(experiment: FLVAEExperiment, rings: ImageRings) -> Any:
+    """Random parameters; those of the frame codec start from the principal components of real rings."""
+    params = initial_params(experiment.model, experiment.train.seed)
+    if experiment.model.encoder != "frame":
+        return params
+    count = -(-FIRST_RINGS // experiment.train.batch)
+    # Batches that no step of the training sees.
+    first = [rings(experiment.train.steps + k).rings for k in range(count)]
+    return frame.start_from_principal_components(params, jax.tree.map(lambda *a: np.concatenate(a), *first))
+
+
+# --- the field-latent diffusion model
+
+
+class MeshBatch(NamedTuple):
+    """Copies of one mesh and their scaled latents."""
+
+    tables: MeshTables
+    latents: Any  # Complex64 [B, V, D]
+
+
+def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
+    """Prepare the asset (cached), then train a field-latent diffusion model on its copies."""
+    surface, config = experiment.surface, experiment.train
+    asset = read_source(surface)
+    codec = load_codec(experiment.weights)
+    fingerprint = hashlib.sha256((asset.digest + codec.digest()).encode()).hexdigest()
+    run = open_run(root, experiment, fingerprint)
+    if not asset_file(run).exists():
+        write_baked(asset, bake_back(asset), asset_file(run))
+    asset = read_asset(asset_file(run))  # what sampling will read
+    cache = open_cache(run.prepared, asset, surface, codec)
+    prepare(cache, asset, surface, codec)
+    copies = load_copies(cache, experiment)
+    scale = latent_scale(copies)
+    whole = MeshBatch(
+        stack([copy.tables for copy in copies]), np.stack([copy.latents * scale for copy in copies])
+    )
+    network = denoiser(experiment)
+    seen = reach(copies[0].tables, network.blocks)
+    tqdm.write(
+        f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices", file=sys.stderr
+    )
+
+    def batches(step: int) -> MeshBatch:
+        rng = np.random.default_rng([config.seed, step])
+        chosen = rng.choice(len(copies), config.batch, replace=config.batch > len(copies))
+        return jax.tree.map(lambda a: a[chosen], whole)
+
+    first = jax.tree.map(lambda a: a[0], whole)
+    params = jax.jit(network.init)(jax.random.key(config.seed), first.tables, first.latents, jnp.float32(1))
+    train(run, config, params, diffusion_loss(experiment.model, network), batches)
+    return run
+
+
+def read_source(surface: Surface) -> Asset:
+    """The asset that the experiment names, or the embedded vase."""
+    if surface.path:
+        return read_asset(surface.path, surface.texture)
+    with TemporaryDirectory() as folder:
+        write_vase(Path(folder) / "vase.glb")
+        return read_asset(Path(folder) / "vase.glb")
+
+
+def asset_file(run: Run) -> Path:
+    """The run's own copy of its asset: one self-contained file."""
+    return run.asset / "asset.glb"
+
+
+def load_copies(cache: Cache, experiment: FLDMExperiment) -> list[Prepared]:
+    """The prepared copies in the order of their seeds."""
+    return [cache.load(experiment.surface.seed + k) for k in range(experiment.surface.copies)]
+
+
+def latent_scale(copies: list[Prepared]) -> Float32[np.ndarray, "D"]:
+    """√(π/2) / E|Z_i| for each channel: latents as large as the noise (paper, "Scaling input latents")."""
+    modulus = np.mean([np.abs(copy.latents).mean(0) for copy in copies], axis=0)
+    return (np.sqrt(np.pi / 2) / np.maximum(modulus, 1e-6)).astype(np.float32)
+
+
+def denoiser(experiment: FLDMExperiment) -> Denoiser:
+    """The network, as deep as its vertex count allows where the experiment does not say."""
+    return Denoiser(experiment.model, experiment.model.blocks or blocks_for(experiment.surface.vertices))
+
+
+def schedule(model: FLDM) -> np.ndarray:
+    """α_0 … α_T."""
+    return ddpm.linear_schedule(model.steps, model.beta_start, model.beta_end)
+
+
+def diffusion_loss(model: FLDM, network: Denoiser) -> LossFn:
+    """E ‖ε − ε̂(Z_t, t)‖² at a random t for each copy (paper, eq. 8), per real coordinate: 1 for ε̂ = 0."""
+    alphas = jnp.asarray(schedule(model), jnp.float32)
+
+    def one(params: Any, tables: MeshTables, latents: Array, key: Array) -> Array:
+        of_time, of_noise = jax.random.split(key)
+        t = jax.random.randint(of_time, (), 1, model.steps + 1)
+        noise = tangent_noise(of_noise, latents.shape)
+        noisy = ddpm.diffuse(latents, noise, alphas[t])
+        predicted = network.apply(params, tables, noisy, t.astype(jnp.float32))
+        errors = jnp.mean(squared_modulus(predicted - noise), -1) / 2
+        return jnp.sum(tables.fine.masses * errors)
+
+    def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
+        keys = jax.random.split(key, batch.latents.shape[0])
+        each = jax.vmap(one, (None, 0, 0, 0))(params, batch.tables, batch.latents, keys)
+        return jnp.mean(each), {}
+
+    return loss

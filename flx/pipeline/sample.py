@@ -1,0 +1,90 @@
+"""New textures from a trained run: noise, the reverse process, decoded onto the original asset."""
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from tqdm import tqdm
+
+from flx.config import FLDMExperiment
+from flx.fields import ddpm
+from flx.fields.algebra import tangent_noise
+from flx.mesh.assets import read_asset
+from flx.pipeline.bake import Baked, bake, open_canvas, side_by_side, write_baked, write_png
+from flx.pipeline.codec import load_codec
+from flx.pipeline.learn import asset_file, denoiser, latent_scale, load_copies, schedule
+from flx.pipeline.prepare import open_cache, prepare
+from flx.pipeline.runs import Run, load_config, write_atomically
+from flx.pipeline.train import restore
+
+Sampler = Literal["ancestral", "ddim"]
+
+
+def sample(
+    folder: Path,
+    count: int = 4,
+    seed: int = 0,
+    sampler: Sampler = "ddim",
+    steps: int = 50,
+    texture_size: int | None = None,
+    out: Path | None = None,
+) -> Path:
+    """Write `count` variations as GLB and PNG, a contact sheet and samples.json; return their folder.
+
+    Variation n hangs on the seed and n alone: more of them, or a second call, change none. Each file is
+    there whole or not at all. Raises ValueError where the folder is not a trained FLDM run.
+    """
+    experiment = load_config(folder)
+    if not isinstance(experiment, FLDMExperiment):
+        raise ValueError(f"{folder} is the run of an FL-VAE; sample one of `flx train experiments/demo.py`")
+    run, surface = Run(folder), experiment.surface
+    asset, codec = read_asset(asset_file(run)), load_codec(experiment.weights)
+    cache = open_cache(run.prepared, asset, surface, codec)
+    prepare(cache, asset, surface, codec)
+    copies = load_copies(cache, experiment)
+    scale, home = latent_scale(copies), copies[0]
+    network, model = denoiser(experiment), experiment.model
+    state = restore(run, experiment.train, abstract_params(network, home.tables, model.latents))
+    alphas = schedule(model)
+    table = ddpm.ddim_steps(alphas, steps) if sampler == "ddim" else ddpm.ancestral_steps(alphas)
+
+    @jax.jit
+    def draw(params: Any, tables: Any, key: jax.Array) -> jax.Array:
+        of_start, of_steps = jax.random.split(key)
+        start = tangent_noise(of_start, (len(home.latents), model.latents))
+        return ddpm.reverse(lambda z, t: network.apply(params, tables, z, t), table, start, of_steps)
+
+    canvas = open_canvas(asset, home.triangulation, texture_size)
+    out = out or run.samples
+    variations: list[Baked] = []
+    for n in tqdm(range(count), desc="variations", unit="texture", dynamic_ncols=True):
+        key = jax.random.fold_in(jax.random.key(seed), n)
+        baked = bake(canvas, codec, np.asarray(draw(state.ema, home.tables, key)) / scale)
+        write_baked(asset, baked, out / f"variation_{n:02d}.glb")
+        for k, image in enumerate(baked.images):
+            if not asset.textures[k].flat:
+                suffix = f"_{k}" if len(baked.images) > 1 else ""
+                write_png(out / f"variation_{n:02d}{suffix}.png", image)
+        variations.append(baked)
+    names = [f"variation {n:02d}" for n in range(count)]
+    write_png(out / "contact_sheet.png", side_by_side(asset, variations[:8], names[:8], surface.up))
+    record = {
+        "run": str(folder),
+        "step": int(state.step),
+        "seed": seed,
+        "sampler": sampler,
+        "steps": len(table.t),
+        "vertices": surface.vertices,
+        "files": [f"variation_{n:02d}.glb" for n in range(count)],
+    }
+    write_atomically(out / "samples.json", (json.dumps(record, indent=2) + "\n").encode())
+    return out
+
+
+def abstract_params(network: Any, tables: Any, latents: int) -> Any:
+    """The shapes of the network's parameters."""
+    z = jnp.zeros((len(tables.fine.masses), latents), jnp.complex64)
+    return jax.eval_shape(network.init, jax.random.key(0), tables, z, jnp.float32(1))

@@ -1,0 +1,151 @@
+"""Laws of repair: what comes out is a manifold of the same triangles, and every change is counted."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from flx.mesh.repair import repair, shape
+
+
+def sphere(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    faces = ConvexHull(points).simplices.astype(np.int64)
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    inward = (np.cross(b - a, c - a) * a).sum(1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return points, faces
+
+
+def soup(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return points[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+
+
+def assert_manifold(vertices: np.ndarray, faces: np.ndarray) -> None:
+    """No directed edge twice, and the faces round each vertex form one fan."""
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert len(np.unique(directed, axis=0)) == len(directed)
+    assert set(faces.ravel()) == set(range(len(vertices)))
+    for vertex in range(len(vertices)):
+        links = [np.roll(f, -list(f).index(vertex))[1:] for f in faces[(faces == vertex).any(1)]]
+        follow = {int(a): int(b) for a, b in links}
+        starts = [a for a in follow if a not in follow.values()] or [next(iter(follow))]
+        assert len(starts) == 1
+        length, at = 0, starts[0]
+        while at in follow and length < len(follow):
+            at, length = follow[at], length + 1
+        assert length == len(links)
+
+
+def corners_agree(points: np.ndarray, faces: np.ndarray, fixed) -> bool:
+    return np.allclose(fixed.vertices[fixed.faces], points[faces[fixed.sources]], rtol=0, atol=1e-8)
+
+
+@given(st.integers(8, 60), st.integers(0, 1000))
+def test_weld_joins_what_a_soup_of_triangles_took_apart(count, seed):
+    points, faces = sphere(count, seed)
+    split_points, split_faces = soup(points, faces)
+    jitter = np.random.default_rng(seed).uniform(-1, 1, split_points.shape) * 1e-11
+    fixed = repair(split_points + jitter, split_faces)
+    assert len(fixed.vertices) == count and fixed.repairs.welded_vertices == 3 * len(faces) - count
+    found = shape(fixed.vertices, fixed.faces)
+    assert (found.components, found.boundary_edges, found.boundary_loops, found.euler) == (1, 0, 0, 2)
+    assert corners_agree(split_points, split_faces, fixed)
+    assert_manifold(fixed.vertices, fixed.faces)
+
+
+def test_points_further_apart_than_the_tolerance_stay_apart():
+    points, faces = sphere(30, 0)
+    split_points, split_faces = soup(points, faces)
+    fixed = repair(
+        split_points + np.random.default_rng(0).normal(size=split_points.shape) * 1e-5, split_faces
+    )
+    assert fixed.repairs.welded_vertices == 0
+
+
+@given(st.integers(10, 40), st.integers(0, 1000))
+def test_a_clean_mesh_is_left_alone(count, seed):
+    points, faces = sphere(count, seed)
+    fixed = repair(points, faces)
+    assert np.array_equal(fixed.vertices, points) and np.array_equal(fixed.faces, faces)
+    assert sum(fixed.repairs) == 0
+
+
+@given(st.integers(0, 1000), st.integers(0, 5), st.integers(0, 5), st.integers(0, 3), st.integers(0, 4))
+def test_each_fault_put_in_is_counted_and_taken_out(seed, degenerate, duplicate, nonfinite, unused):
+    points, faces = sphere(25, seed)
+    rng = np.random.default_rng(seed)
+    bad = faces[rng.choice(len(faces), degenerate + duplicate + nonfinite)].copy()
+    bad[:degenerate, 2] = bad[:degenerate, 0]
+    copies = bad[degenerate : degenerate + duplicate]
+    copies[:] = faces[rng.choice(len(faces), duplicate, replace=False)][:, [1, 2, 0]]
+    copies[::2] = copies[::2, ::-1]  # the back of a face is a duplicate too
+    bad[degenerate + duplicate :, 1] = len(points)
+    broken = np.concatenate([points, [[np.nan, 0, 0]], rng.normal(size=(unused, 3)) + 9])
+    all_faces = np.concatenate([faces, bad])
+    fixed = repair(broken, all_faces)
+    assert fixed.repairs._asdict() == {
+        "nonfinite_faces": nonfinite,
+        "welded_vertices": 0,
+        "degenerate_faces": degenerate,
+        "ear_faces": 0,
+        "duplicate_faces": duplicate,
+        "unused_vertices": unused + 1,
+        "nonmanifold_edges": 0,
+        "disagreeing_edges": 0,
+        "split_vertices": 0,
+    }
+    assert np.array_equal(fixed.faces, faces) and np.array_equal(fixed.vertices, points)
+
+
+def test_a_fin_is_cut_from_its_edge():
+    points, faces = sphere(20, 1)
+    fin = np.array([[faces[0, 0], faces[0, 1], len(points)]])
+    fixed = repair(np.vstack([points, 2 * points[:1]]), np.vstack([faces, fin]))
+    assert fixed.repairs.nonmanifold_edges == 1 and fixed.repairs.split_vertices > 0
+    assert len(fixed.faces) == len(faces) + 1
+    assert_manifold(fixed.vertices, fixed.faces)
+
+
+def test_a_bow_tie_vertex_becomes_two():
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [-1, 0, 0], [-1, -1, 0.0]])
+    fixed = repair(points, np.array([[0, 1, 2], [0, 3, 4]]))
+    assert (fixed.repairs.split_vertices, fixed.repairs.nonmanifold_edges) == (1, 0)
+    assert shape(fixed.vertices, fixed.faces)[:4] == (2, 6, 2, 2)
+    assert_manifold(fixed.vertices, fixed.faces)
+
+
+def test_a_turned_face_is_counted_and_cut_not_turned():
+    points, faces = sphere(20, 2)
+    faces[3] = faces[3, ::-1]
+    fixed = repair(points, faces)
+    assert fixed.repairs.disagreeing_edges == 3
+    assert corners_agree(points, faces, fixed)
+    assert_manifold(fixed.vertices, fixed.faces)
+
+
+@pytest.mark.parametrize("turn", [[0, 1, 2], [2, 1, 0]])
+def test_a_doubled_ear_is_dropped_and_the_surface_is_whole(turn):
+    points, faces = sphere(20, 3)
+    ear = np.array([faces[0, 0], faces[0, 1], len(points)])
+    broken = np.vstack([points, 2 * points[:1]])
+    fixed = repair(broken, np.vstack([faces, ear, ear[turn]]))
+    assert fixed.repairs.ear_faces == 2 and fixed.repairs.nonmanifold_edges == 0
+    assert np.array_equal(fixed.faces, faces)
+
+
+def test_a_sheet_with_a_back_keeps_one_side():
+    grid = np.array([[x, y, 0.0] for y in range(4) for x in range(4)])
+    quads = [4 * y + x for y in range(3) for x in range(3)]
+    front = np.array([t for q in quads for t in ([q, q + 1, q + 5], [q, q + 5, q + 4])])
+    fixed = repair(grid, np.concatenate([front, front[:, ::-1]]))
+    assert fixed.repairs.duplicate_faces == len(front) and fixed.repairs.ear_faces == 0
+    assert np.array_equal(fixed.faces, front)
+    assert shape(fixed.vertices, fixed.faces)[:4] == (1, 12, 1, 1)
+
+
+def test_nothing_left_is_an_error():
+    with pytest.raises(ValueError, match="no triangles"):
+        repair(np.zeros((3, 3)), np.array([[0, 1, 2]]))

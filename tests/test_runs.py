@@ -1,0 +1,182 @@
+"""Laws of run folders: reopened for the same experiment, refused to another, whole at any moment."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flx.config import FLDM, FLVAE, FLDMExperiment, FLVAEExperiment, Surface, Train
+from flx.pipeline.runs import load_config, load_fingerprint, only_trainer, open_run, write_atomically
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+trains = st.builds(Train, steps=st.integers(1), learning_rate=finite, clip=finite)
+experiments = st.one_of(
+    st.builds(FLVAEExperiment, model=st.builds(FLVAE), kl_weight=finite, train=trains, name=st.just("x")),
+    st.builds(
+        FLDMExperiment,
+        name=st.just("x"),
+        model=st.builds(FLDM, blocks=st.none() | st.tuples(*3 * [st.integers(0, 9)])),
+        surface=st.builds(Surface, path=st.text(), texture=st.none() | st.text()),
+        train=trains,
+        weights=st.none() | st.text(),
+    ),
+)
+demo = FLDMExperiment(name="demo", model=FLDM(blocks=(1, 1, 2)))
+
+
+@given(experiments)
+def test_a_config_survives_json(tmp_path_factory, experiment):
+    run = open_run(tmp_path_factory.mktemp("runs"), experiment, "ab12")
+    read = load_config(run.folder)
+    assert type(read) is type(experiment) and read == experiment
+    assert repr(read) == repr(experiment)  # 1 == 1.0 and -0.0 == 0.0, but they are not the same config
+    assert load_fingerprint(run.folder) == "ab12"
+
+
+def test_the_same_experiment_reopens_its_run(tmp_path):
+    run = open_run(tmp_path, demo, "ab12")
+    write_atomically(run.metrics, b"step,loss\n")
+    assert open_run(tmp_path, demo, "ab12") == run
+    assert run.folder == tmp_path / "demo" and run.metrics.read_bytes() == b"step,loss\n"
+
+
+def test_another_asset_is_refused(tmp_path):
+    open_run(tmp_path, demo, "ab12")
+    with pytest.raises(ValueError, match=r"another asset .*ab12, not cd34.*--name.*delete") as error:
+        open_run(tmp_path, demo, "cd34")
+    assert "\n" not in str(error.value)
+    assert load_fingerprint(tmp_path / "demo") == "ab12"
+
+
+@pytest.mark.parametrize(
+    "change, told",
+    [
+        (dict(model=FLDM(blocks=(1, 1, 2), channels=64)), "model.channels = 96, not 64"),
+        (dict(model=FLDM(blocks=(1, 1, 1))), r"model.blocks = \[1, 1, 2\], not \[1, 1, 1\]"),
+        (dict(surface=Surface(seed=1)), "surface.seed = 0, not 1"),
+        (dict(train=Train(seed=3, batch=2)), "train.batch = 16, not 2, train.seed = 0, not 3"),
+    ],
+)
+def test_another_experiment_is_refused_and_told_what_differs(tmp_path, change, told):
+    open_run(tmp_path, demo, "ab12")
+    before = (tmp_path / "demo/config.json").read_bytes()
+    with pytest.raises(ValueError, match=told) as error:
+        open_run(tmp_path, dataclasses.replace(demo, **change), "ab12")
+    assert "--name" in str(error.value) and "\n" not in str(error.value)
+    assert (tmp_path / "demo/config.json").read_bytes() == before
+
+
+def test_another_kind_of_experiment_is_refused(tmp_path):
+    open_run(tmp_path, demo, "ab12")
+    with pytest.raises(ValueError, match="FLDMExperiment, not an FLVAEExperiment"):
+        open_run(tmp_path, FLVAEExperiment(name="demo"), "ab12")
+
+
+def test_length_and_rhythm_may_change_and_the_config_says_the_latest(tmp_path, capsys):
+    open_run(tmp_path, demo, "ab12")
+    longer = dataclasses.replace(demo, train=Train(steps=7, log_every=1, checkpoint_every=2))
+    open_run(tmp_path, longer, "ab12")
+    assert load_config(tmp_path / "demo") == longer
+    assert "train.steps 300000 → 7; its cosine schedule" in capsys.readouterr().err
+
+
+def test_a_renamed_folder_is_the_same_run(tmp_path):
+    open_run(tmp_path, demo, "ab12")
+    (tmp_path / "demo").rename(tmp_path / "kept")
+    open_run(tmp_path, dataclasses.replace(demo, name="kept"), "ab12")
+
+
+@pytest.mark.parametrize("name", ["", "..", ".", "a/b", "/tmp/x"])
+def test_a_run_stays_in_its_root(tmp_path, name):
+    with pytest.raises(ValueError, match="names no folder"):
+        open_run(tmp_path / "runs", dataclasses.replace(demo, name=name), "ab12")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    write_atomically(tmp_path / "demo/thesis.tex", b"")
+    with pytest.raises(ValueError, match=r"no config.json but holds thesis.tex"):
+        open_run(tmp_path, demo, "ab12")
+
+
+def test_torn_temporary_files_are_ignored(tmp_path):
+    (tmp_path / "demo").mkdir()
+    (tmp_path / "demo/.99.config.json").write_text('{"kind": "FLDM')
+    assert load_config(open_run(tmp_path, demo, "ab12").folder) == demo
+
+
+@pytest.mark.parametrize(
+    "place, value, told",
+    [
+        (("config", "train", "steps"), "many", "config.train.steps is 'many', not a int"),
+        (("config", "train", "steps"), True, "config.train.steps is True"),
+        (("config", "model", "filter"), "box", "config.model.filter is 'box'"),
+        (("config", "model", "blocks"), [1, 2], r"config.model.blocks is \[1, 2\]"),
+        (("config", "speed"), 3, "config has an unknown field 'speed'"),
+        (("kind",), "subprocess.Popen", "does not record a run"),
+        (("config",), None, "does not record a run"),
+    ],
+)
+def test_a_wrong_config_file_is_refused_by_place(tmp_path, place, value, told):
+    path = open_run(tmp_path, demo, "ab12").config
+    record = json.loads(path.read_bytes())
+    *way, last = place
+    inside = record
+    for name in way:
+        inside = inside[name]
+    inside[last] = value
+    path.write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=told) as error:
+        load_config(path.parent)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_field_a_torn_file_and_no_file_are_refused(tmp_path):
+    path = open_run(tmp_path, demo, "ab12").config
+    record = json.loads(path.read_bytes())
+    del record["config"]["train"]["clip"]
+    path.write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=r"config.train has no field 'clip'"):
+        load_config(path.parent)
+    path.write_text('{"kind')
+    with pytest.raises(ValueError, match="does not record a run"):
+        load_config(path.parent)
+    with pytest.raises(ValueError, match="is not a run"):
+        load_config(tmp_path)
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "new/atlas.png"
+    write_atomically(path, b"first")
+
+    def fail(torn):
+        assert torn.suffix == ".png"  # some writers go by it
+        torn.write_bytes(b"sec")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        write_atomically(path, fail)
+    assert path.read_bytes() == b"first" and len(list(path.parent.iterdir())) == 1
+    write_atomically(path, lambda torn: torn.write_bytes(b"second"))
+    assert path.read_bytes() == b"second" and len(list(path.parent.iterdir())) == 1
+
+
+def test_a_second_trainer_is_refused_and_a_killed_one_is_not_in_the_way(tmp_path):
+    run = open_run(tmp_path, demo, "ab12")
+    hold = (
+        "import sys, time; from pathlib import Path; from flx.pipeline.runs import Run, only_trainer\n"
+        "with only_trainer(Run(Path(sys.argv[1]))): print('held', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, str(run.folder)], stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None and other.stdout.readline() == "held\n"
+        with pytest.raises(ValueError, match=rf"trained by process {other.pid};.*--name"), only_trainer(run):
+            pass
+        other.kill()
+    with only_trainer(run), pytest.raises(ValueError, match="is being trained"), only_trainer(run):
+        pass
