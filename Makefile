@@ -1,8 +1,9 @@
 PYTHON ?= python3
 VENV := .venv
 MESH ?=
+NAME := $(if $(MESH),$(basename $(notdir $(MESH))),demo)
 
-.PHONY: setup demo test check bench
+.PHONY: setup demo test bench
 
 setup: $(VENV)/.installed
 
@@ -13,15 +14,16 @@ $(VENV)/.installed: pyproject.toml
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-demo: setup  ## learn the embedded vase (or MESH=your.glb) and make four variations of it
-	$(VENV)/bin/flx train experiments/demo.py $(if $(MESH),--surface.path '$(MESH)')
-	$(VENV)/bin/flx sample runs/demo --count 4
+demo: setup  # learn the embedded vase (or MESH=your.glb) and make four variations of it
+	$(VENV)/bin/flx train experiments/demo.py --name '$(NAME)' $(if $(MESH),--surface.path '$(MESH)')
+	$(VENV)/bin/flx sample 'runs/$(NAME)' --count 4
 
-test: setup  ## every law, and the linters
-	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
+test: setup  # the linters and every test
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/pyright
 	$(VENV)/bin/lint-imports
 	$(VENV)/bin/python -m pytest
 
-bench: setup  ## timings of this machine, as JSON
+bench: setup  # timings of this machine, as JSON
 	$(VENV)/bin/flx bench

@@ -10,6 +10,7 @@ config = FLVAEExperiment(
     name="flvae",
     model=FLVAE(
         encoder="frame",
+        invariants=3,  # mean colour and curvature do not turn: as vectors they have no direction to point
         decoder_width=256,  # paper: 512; four times the rings in the same time
         precision="float32",
     ),

@@ -19,6 +19,7 @@ class FLVAE:
     layers: int = 8  # VN-Transformer layers
     heads: int = 8
     latents: int = 8  # D, complex numbers a vertex
+    invariants: int = 0  # of these, channels that do not turn: two real numbers each; "frame" only
     samples: int = 64  # colour samples a one-ring
     decoder_width: int = 512
     decoder_layers: int = 5
@@ -29,7 +30,9 @@ class FLVAE:
 class FLDM:
     """The field-latent diffusion model (paper, section 4 and supplement B.2)."""
 
-    latents: int = 8
+    network: Literal["vectors", "mixed"] = "vectors"  # the paper's; ours for codes with invariant channels
+    latents: int = 8  # this and the next are the FL-VAE's when a mesh is learnt
+    invariants: int = 0
     channels: int = 96  # of the fine level; the coarse level has twice as many
     filter: Literal["harmonic", "mlp"] = "harmonic"  # ours, 5x faster; "mlp" is the paper's
     filter_width: int = 8  # channels inside the filter

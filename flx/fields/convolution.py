@@ -90,12 +90,12 @@ def _profile(parameters: Parameters, inputs: Float[Array, "*V I"], shift: Array)
     return jax.nn.silu(hidden @ parameters["hidden"] + parameters["bias"])
 
 
-def _rows(x: Array, index: Int[Array, "*I"]) -> Array:
+def rows(x: Array, index: Int[Array, "*I"]) -> Array:
     """Rows of a table that is trusted to point inside: no clamp, so that XLA fuses the gather."""
     return x.at[index].get(mode="promise_in_bounds")
 
 
-def _received(rings: OneRings, sent: Array) -> Array:
+def received(rings: OneRings, sent: Array) -> Array:
     """[V, K, …] given for the edges (p, k), read at (q, reverse): what p sent to each neighbour, at it."""
     return sent.at[rings.neighbors, rings.reverse].get(mode="promise_in_bounds")
 
@@ -103,12 +103,12 @@ def _received(rings: OneRings, sent: Array) -> Array:
 @jax.custom_vjp
 def _ring_values(rings: OneRings, x: Float[Array, "V H"]) -> Float[Array, "V K H"]:
     """Scalars at the neighbours. Its cotangent must vanish on spare slots."""
-    return _rows(x, rings.neighbors)
+    return rows(x, rings.neighbors)
 
 
 _ring_values.defvjp(
     lambda rings, x: (_ring_values(rings, x), rings),
-    lambda rings, cotangent: (None, _received(rings, cotangent).sum(1)),
+    lambda rings, cotangent: (None, received(rings, cotangent).sum(1)),
 )
 
 
@@ -153,16 +153,16 @@ def _spread(
     """
 
     def one(_: None, channel: tuple[Array, Array]) -> tuple[None, Array]:
-        return None, _gathered_sum(rings, *channel)
+        return None, gathered_sum(rings, *channel)
 
     return jax.lax.scan(one, None, (kappa, _powers(x, len(kappa))))[1]
 
 
-def _gathered_sum(
+def gathered_sum(
     rings: OneRings, kappa: Complex[Array, "V K"], y: Complex[Array, "V C"]
 ) -> Complex[Array, "V C"]:
     slots = range(kappa.shape[1])
-    return sum(kappa[:, k, None] * _rows(y, rings.neighbors[:, k]) for k in slots)  # type: ignore
+    return sum(kappa[:, k, None] * rows(y, rings.neighbors[:, k]) for k in slots)  # type: ignore
 
 
 def _spread_forward(rings: OneRings, kappa: Array, x: Array) -> tuple[Array, tuple]:
@@ -175,9 +175,9 @@ def _spread_backward(saved: tuple, cotangent: Array) -> tuple:
 
     def one(_: None, channel: tuple[Array, Array, Array]) -> tuple[None, tuple[Array, Array]]:
         kappa, power, bar = channel
-        power_bar = _gathered_sum(rings, _received(rings, kappa), bar)
+        power_bar = gathered_sum(rings, received(rings, kappa), bar)
         slots = range(kappa.shape[1])
-        dots = [_row_dots(bar, _rows(power, rings.neighbors[:, k])) for k in slots]
+        dots = [_row_dots(bar, rows(power, rings.neighbors[:, k])) for k in slots]
         return None, (jnp.stack(dots, 1), power_bar)
 
     kappa_bar, powers_bar = jax.lax.scan(one, None, (kappa, powers, cotangent))[1]
@@ -241,7 +241,7 @@ def _messages(rings: OneRings, x: Array, shift: Array, weights: Parameters) -> A
 
     def receive(total: Array, slot: tuple) -> tuple[Array, None]:
         q, edge = slot
-        return total + _message(edge, _rows(x, q), _rows(shift, q), weights), None
+        return total + _message(edge, rows(x, q), rows(shift, q), weights), None
 
     nothing = jnp.zeros((x.shape[0], shift.shape[1], x.shape[1]), x.dtype)
     slots = (rings.neighbors.T, tuple(e.T for e in _mlp_edges(rings)))
@@ -259,10 +259,10 @@ def _messages_backward(saved: tuple, cotangent: Array) -> tuple:
     def send(total: list, slot: tuple) -> tuple[list, None]:
         p, edge = slot
         _, pull = jax.vjp(lambda *primals: _message(edge, *primals), *primals)
-        return jax.tree.map(jnp.add, total, list(pull(_rows(cotangent, p)))), None
+        return jax.tree.map(jnp.add, total, list(pull(rows(cotangent, p)))), None
 
     nothing = jax.tree.map(jnp.zeros_like, primals)
-    slots = (rings.neighbors.T, tuple(_received(rings, e).T for e in _mlp_edges(rings)))
+    slots = (rings.neighbors.T, tuple(received(rings, e).T for e in _mlp_edges(rings)))
     return None, *jax.lax.scan(send, nothing, slots)[0]
 
 
@@ -277,15 +277,15 @@ def pool(pooling: Pooling, x: Complex[Array, "V C"]) -> Complex[Array, "W C"]:
     """The mean over each cluster, weighted by mass, of vectors transported to its centre."""
     carry = pooling.child_weights * pooling.child_transports
     slots = range(carry.shape[1])
-    return sum(carry[:, m, None] * _rows(x, pooling.children[:, m]) for m in slots)  # type: ignore
+    return sum(carry[:, m, None] * rows(x, pooling.children[:, m]) for m in slots)  # type: ignore
 
 
 def _pool_backward(pooling: Pooling, cotangent: Array) -> tuple:
     # A vertex finds its own weight in the list of its cluster; spare entries repeat the centre with weight 0.
     me = jnp.arange(pooling.parents.shape[0])[:, None]
-    mine = _rows(pooling.children, pooling.parents) == me
-    weight = jnp.sum(jnp.where(mine, _rows(pooling.child_weights, pooling.parents), 0.0), 1)
-    return None, (weight * pooling.transports)[:, None] * _rows(cotangent, pooling.parents)
+    mine = rows(pooling.children, pooling.parents) == me
+    weight = jnp.sum(jnp.where(mine, rows(pooling.child_weights, pooling.parents), 0.0), 1)
+    return None, (weight * pooling.transports)[:, None] * rows(cotangent, pooling.parents)
 
 
 pool.defvjp(lambda pooling, x: (pool(pooling, x), pooling), _pool_backward)
@@ -294,13 +294,13 @@ pool.defvjp(lambda pooling, x: (pool(pooling, x), pooling), _pool_backward)
 @jax.custom_vjp
 def unpool(pooling: Pooling, x: Complex[Array, "W C"]) -> Complex[Array, "V C"]:
     """Every fine vertex takes the vector of its cluster, carried back by P_{v←parent} = conj P_{parent←v}."""
-    return jnp.conj(pooling.transports)[:, None] * _rows(x, pooling.parents)
+    return jnp.conj(pooling.transports)[:, None] * rows(x, pooling.parents)
 
 
 def _unpool_backward(pooling: Pooling, cotangent: Array) -> tuple:
     carry = jnp.where(pooling.child_weights > 0, jnp.conj(pooling.child_transports), 0.0)
     slots = range(carry.shape[1])
-    return None, sum(carry[:, m, None] * _rows(cotangent, pooling.children[:, m]) for m in slots)
+    return None, sum(carry[:, m, None] * rows(cotangent, pooling.children[:, m]) for m in slots)
 
 
 unpool.defvjp(lambda pooling, x: (unpool(pooling, x), pooling), _unpool_backward)

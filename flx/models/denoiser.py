@@ -5,6 +5,8 @@ of and not the one texture (paper, "Denoising network"). `blocks_for` chooses th
 All layers but the embedding are complex-linear or equivariant, so ε turns with the frames of the vertices.
 """
 
+from typing import Any
+
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -67,7 +69,7 @@ def reach(tables: MeshTables, blocks: Blocks, sources: int = 16) -> float:
 
     def grown(seen: Bool[np.ndarray, "N S"], rings: OneRings, count: int) -> Bool[np.ndarray, "N S"]:
         for _ in range(2 * count):  # two convolutions a block
-            seen = np.any(seen[np.asarray(rings.neighbors)], axis=1, keepdims=False)
+            seen = np.any(seen[np.asarray(rings.neighbors)], axis=1)
         return seen
 
     seen = np.zeros((len(fine.masses), len(chosen)), bool)
@@ -142,19 +144,10 @@ class Denoiser(nn.Module):
         Raises ValueError where ρ is not what `config.conditions` says.
         """
         c = self.config
-        given = 0 if rho is None else rho.shape[-1]
-        if given != c.conditions:
-            raise ValueError(
-                f"rho has {given} values a vertex; model.conditions is {c.conditions}: make them equal"
-            )
         fine, pooling, coarse = tables
         before, middle, after = self.blocks
 
-        embedding = timestep_features(t, c.embedding)
-        if rho is not None:
-            embedding = jnp.broadcast_to(embedding, (z.shape[0], c.embedding))
-            embedding = jnp.concatenate([embedding, rho], -1)
-        embedding = nn.silu(RealMLP((c.embedding, c.embedding), c.precision, name="embedding")(embedding))
+        embedding = embed(c, t, rho)
         below = embedding if rho is None else embedding[pooling.centers]
 
         x = self._dense(c.channels, "lift")(z)
@@ -164,7 +157,7 @@ class Denoiser(nn.Module):
         x = self._dense(c.channels, "merge")(jnp.concatenate([unpool(pooling, y), x], -1))
         x = self._run("after", after, x, fine, embedding)
         # A small first answer: the loss starts at that of predicting zero, E|ε|² = 2.
-        return ComplexDense(c.latents, c.precision, _small, name="head")(x)
+        return ComplexDense(c.latents, c.precision, small, name="head")(x)
 
     def _dense(self, features: int, name: str) -> ComplexDense:
         return ComplexDense(features, self.config.precision, name=name)
@@ -181,5 +174,37 @@ class Denoiser(nn.Module):
         return scan(self.config, name=name)(x, rings, embedding)[0]
 
 
-def _small(key: Array, shape: tuple[int, ...], dtype: type = jnp.float32) -> Array:
+def embed(
+    config: FLDM, t: Float[Array, ""], rho: Float[Array, "V m"] | None
+) -> Float[Array, "E"] | Float[Array, "V E"]:
+    """π: the step and the conditions through a small MLP. For use inside a module's `__call__`.
+
+    Raises ValueError where ρ is not what `config.conditions` says.
+    """
+    given = 0 if rho is None else rho.shape[-1]
+    if given != config.conditions:
+        raise ValueError(
+            f"rho has {given} values a vertex; model.conditions is {config.conditions}: make them equal"
+        )
+    embedding = timestep_features(t, config.embedding)
+    if rho is not None:
+        embedding = jnp.broadcast_to(embedding, (rho.shape[0], config.embedding))
+        embedding = jnp.concatenate([embedding, rho], -1)
+    widths = (config.embedding, config.embedding)
+    return nn.silu(RealMLP(widths, config.precision, name="embedding")(embedding))
+
+
+def denoise(
+    network: nn.Module,
+    params: Any,
+    tables: MeshTables,
+    z: Complex[Array, "V D"],
+    t: Float[Array, ""],
+    rho: Float[Array, "V m"] | None = None,
+) -> Complex[Array, "V D"]:
+    """The network as a function of its parameters."""
+    return network.apply(params, tables, z, t, rho)  # type: ignore
+
+
+def small(key: Array, shape: tuple[int, ...], dtype: type = jnp.float32) -> Array:
     return 0.1 * complex_initializer(key, shape, dtype)

@@ -1,6 +1,6 @@
 """The layers that both models share: parameters around the equations of `flx.fields.algebra`."""
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import flax.linen as nn
 import jax
@@ -19,7 +19,7 @@ class Posterior(NamedTuple):
     log_sigma: Float[Array, "*B D"]
 
     @classmethod
-    def starting_small(cls, mean: Complex[Array, "*B D"], log_sigma: Float[Array, "*B D"]) -> Self:
+    def starting_small(cls, mean: Complex[Array, "*B D"], log_sigma: Float[Array, "*B D"]) -> "Posterior":
         """Untrained heads give 0: σ = e⁻³, so that the first codes are not drowned in their own noise."""
         return cls(mean, log_sigma - 3.0)
 
@@ -46,6 +46,19 @@ class ComplexDense(nn.Module):
         return algebra.complex_linear(x, kernel, self.precision)
 
 
+class PairsDense(nn.Module):
+    """`ComplexDense` of pairs [V, 2C], the real parts before the imaginary ones."""
+
+    features: int
+    precision: Precision = "float32"
+    kernel_init: nn.initializers.Initializer = complex_initializer
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*V C2"]) -> Float[Array, "*V D2"]:
+        kernel = self.param("kernel", self.kernel_init, (2, x.shape[-1] // 2, self.features))
+        return algebra.complex_linear_pairs(x, kernel, self.precision)
+
+
 class RealDense(nn.Module):
     """A real linear map with bias."""
 
@@ -55,7 +68,7 @@ class RealDense(nn.Module):
     @nn.compact
     def __call__(self, x: Float[Array, "*V C"]) -> Float[Array, "*V D"]:
         kernel = self.param("kernel", nn.initializers.lecun_normal(), (x.shape[-1], self.features))
-        bias = self.param("bias", nn.initializers.zeros, (self.features,))
+        bias = self.param("bias", nn.initializers.normal(0.1), (self.features,))  # black is not nothing
         return algebra.dense(x, kernel, self.precision) + bias
 
 

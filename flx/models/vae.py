@@ -4,6 +4,8 @@ Everything is pointwise: a ring's code depends on that ring alone, whatever else
 The encoder commutes with a change of the vertex's frame, the decoder is invariant under it.
 """
 
+from typing import Any
+
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
@@ -17,7 +19,7 @@ from flx.types import RingSamples
 
 
 class FieldLatentVAE(nn.Module):
-    """Encoder and decoder, to be applied with `method=FieldLatentVAE.encode` or `.decode`."""
+    """Encoder and decoder; `encode` and `decode` below apply them."""
 
     config: FLVAE
 
@@ -42,6 +44,18 @@ class FieldLatentVAE(nn.Module):
         z = posterior.sample(key)
         z = jnp.broadcast_to(z[..., None, :], (*queries.shape, z.shape[-1]))
         return self.decode(queries, z), posterior
+
+
+def encode(config: FLVAE, params: Any, rings: RingSamples) -> Posterior:
+    """`FieldLatentVAE.encode` as a function of its parameters."""
+    return FieldLatentVAE(config).apply(params, rings, method=FieldLatentVAE.encode)  # type: ignore
+
+
+def decode(
+    config: FLVAE, params: Any, logs: Complex[Array, "*B"], z: Complex[Array, "*B D"]
+) -> Float[Array, "*B 3"]:
+    """`FieldLatentVAE.decode` as a function of its parameters."""
+    return FieldLatentVAE(config).apply(params, logs, z, method=FieldLatentVAE.decode)  # type: ignore
 
 
 def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:

@@ -1,14 +1,18 @@
 """Timings of this machine for `flx bench`: rows of a name, seconds and bytes."""
 
+import os
+import platform
 import statistics
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from scipy.spatial import ConvexHull
 
 from flx.config import FLDM
 from flx.fields.algebra import tangent_noise
@@ -32,6 +36,26 @@ def denoiser_rows(repeats: int = 5) -> list[dict[str, Any]]:
         )
         for filter in ("harmonic", "mlp")
     ]
+
+
+def machine() -> dict[str, Any]:
+    """What the timings were taken on."""
+    device = jax.devices()[0]
+    return {
+        "platform": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "device": device.device_kind,
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+    }
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor()
 
 
 def _train_step(name: str, config: FLDM, blocks: Blocks, tables: MeshTables, repeats: int) -> dict[str, Any]:
@@ -70,8 +94,6 @@ def _timed(call: Callable[[], Any]) -> tuple[float, Any]:
 
 def _sphere(count: int) -> Triangulation:
     """The convex hull of `count` points on a Fibonacci spiral: nearly all degrees are six."""
-    from scipy.spatial import ConvexHull
-
     i = np.arange(count) + 0.5
     z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     r = np.sqrt(1 - z * z)

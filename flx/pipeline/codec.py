@@ -16,7 +16,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from flx.config import FLVAE
-from flx.models.vae import FieldLatentVAE
+from flx.models import vae
 from flx.pipeline.runs import write_atomically
 from flx.types import Queries, RingSamples
 
@@ -39,20 +39,18 @@ class Codec(NamedTuple):
 
     def encode(self, rings: RingSamples) -> Complex64[np.ndarray, "V D"]:
         """The mean code of each one-ring, in the frame of its vertex."""
-        model = FieldLatentVAE(self.config)
 
         def mean(params: Any, chunk: RingSamples) -> jax.Array:
-            return model.apply(params, chunk, method=FieldLatentVAE.encode).mean
+            return vae.encode(self.config, params, chunk).mean
 
         return _in_chunks(jax.jit(mean), self.params, rings, RINGS)
 
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
         """Colours in [0, 1]: what the corners of each face predict, blended barycentrically."""
-        model = FieldLatentVAE(self.config)
 
         def blend(params_z: tuple[Any, jax.Array], chunk: Queries) -> jax.Array:
             params, z = params_z
-            predicted = model.apply(params, chunk.logs, z[chunk.vertices], method=FieldLatentVAE.decode)
+            predicted = vae.decode(self.config, params, chunk.logs, z[chunk.vertices])
             return jnp.clip(jnp.einsum("pk,pkc->pc", chunk.barycentrics, predicted), 0, 1)
 
         return _in_chunks(jax.jit(blend), (self.params, jnp.asarray(z)), queries, POINTS)
@@ -84,9 +82,9 @@ def load_codec(path: str | Path | None = None) -> Codec:
             "or leave --weights out for the released ones"
         ) from None
     params = {"params": unflatten_dict(tensors)}
-    expected = jax.eval_shape(lambda: initial_params(config, 0))
-    shapes = {k: v.shape for k, v in tensors.items()}
-    wanted = {k: v.shape for k, v in flatten_dict(expected["params"]).items()}
+    expected: Any = jax.eval_shape(lambda: initial_params(config, 0))
+    shapes: dict = jax.tree.map(np.shape, tensors)
+    wanted: dict = jax.tree.map(lambda leaf: leaf.shape, flatten_dict(expected["params"]))
     if shapes != wanted:
         odd = "/".join(sorted(k for k in shapes | wanted if shapes.get(k) != wanted.get(k))[0])
         raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")
@@ -98,7 +96,7 @@ def initial_params(config: FLVAE, seed: int) -> Any:
     key = jax.random.key(seed)
     logs = jnp.zeros((1, config.samples), jnp.complex64)
     rings = RingSamples(logs, jnp.zeros((1, config.samples, 3), jnp.float32))
-    return FieldLatentVAE(config).init(key, rings, logs[:, :1], key)
+    return vae.FieldLatentVAE(config).init(key, rings, logs[:, :1], key)
 
 
 def _in_chunks(function: Any, fixed: Any, arrays: Any, size: int) -> np.ndarray:

@@ -104,7 +104,7 @@ def compare(
     """
     own, new = (fill_gutter(image, covered).astype(np.float32) / 255 for image in (own, new))
     error = float(np.mean((own - new)[covered] ** 2))
-    _, similarity = structural_similarity(
+    similarity = structural_similarity(
         own,
         new,
         data_range=1.0,
@@ -113,8 +113,8 @@ def compare(
         sigma=1.5,
         use_sample_covariance=False,
         full=True,
-    )
-    return error, float((1 - similarity[covered].mean()) / 2)
+    )[1]
+    return error, float((1 - np.asarray(similarity)[covered].mean()) / 2)
 
 
 def psnr(mean_squared_error: float) -> float:

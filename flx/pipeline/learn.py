@@ -2,6 +2,7 @@
 
 import hashlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float32
+from jaxtyping import Complex64
 from tqdm import tqdm
 
 from flx.config import FLDM, Experiment, FLDMExperiment, FLVAEExperiment, Surface
@@ -20,7 +21,8 @@ from flx.mesh.assets import Asset, read_asset
 from flx.mesh.tables import stack
 from flx.mesh.vase import write_vase
 from flx.models import frame
-from flx.models.denoiser import Denoiser, blocks_for, reach
+from flx.models.denoiser import Denoiser, blocks_for, denoise, reach
+from flx.models.mixed import MixedDenoiser
 from flx.models.vae import FieldLatentVAE, flvae_loss
 from flx.pipeline.bake import bake_back, write_baked
 from flx.pipeline.codec import Codec, initial_params, load_codec, save_codec
@@ -50,7 +52,8 @@ def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     model = FieldLatentVAE(experiment.model)
 
     def loss(params: Any, batch: RingBatch, key: Array) -> tuple[Array, dict[str, Array]]:
-        predicted, posterior = model.apply(params, batch.rings, batch.queries, key)
+        answer: Any = model.apply(params, batch.rings, batch.queries, key)
+        predicted, posterior = answer
         return flvae_loss(batch.colors, predicted, posterior, experiment.kl_weight)
 
     state = train(run, experiment.train, starting_params(experiment, rings), loss, rings)
@@ -98,11 +101,10 @@ def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
     cache = open_cache(run.prepared, asset, surface, codec)
     prepare(cache, asset, surface, codec)
     copies = load_copies(cache, experiment)
-    scale = latent_scale(copies)
-    whole = MeshBatch(
-        stack([copy.tables for copy in copies]), np.stack([copy.latents * scale for copy in copies])
-    )
-    network = denoiser(experiment)
+    scaling = latent_scaling(copies, codec.config.invariants)
+    latents = np.stack([scaling.to_diffusion(copy.latents) for copy in copies])
+    whole = MeshBatch(stack([copy.tables for copy in copies]), latents)
+    network = denoiser(experiment, codec)
     seen = reach(copies[0].tables, network.blocks)
     tqdm.write(
         f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices", file=sys.stderr
@@ -138,15 +140,53 @@ def load_copies(cache: Cache, experiment: FLDMExperiment) -> list[Prepared]:
     return [cache.load(experiment.surface.seed + k) for k in range(experiment.surface.copies)]
 
 
-def latent_scale(copies: list[Prepared]) -> Float32[np.ndarray, "D"]:
-    """√(π/2) / E|Z_i| for each channel: latents as large as the noise (paper, "Scaling input latents")."""
-    modulus = np.mean([np.abs(copy.latents).mean(0) for copy in copies], axis=0)
-    return (np.sqrt(np.pi / 2) / np.maximum(modulus, 1e-6)).astype(np.float32)
+class Scaling(NamedTuple):
+    """Between latents and what is diffused: as large as the noise, of zero mean where they may be.
+
+    Vectors have one scale for both coordinates and no mean that all frames agree on; the two numbers of an
+    invariant channel have each their own.
+    """
+
+    shift: Complex64[np.ndarray, "D"]
+    scale: Complex64[np.ndarray, "D"]  # of the real and of the imaginary part
+
+    def to_diffusion(self, latents: Complex64[np.ndarray, "V D"]) -> Complex64[np.ndarray, "V D"]:
+        """Scaled latents."""
+        z = latents - self.shift
+        return z.real * self.scale.real + 1j * (z.imag * self.scale.imag)
+
+    def to_latents(self, z: Complex64[np.ndarray, "V D"]) -> Complex64[np.ndarray, "V D"]:
+        """The inverse."""
+        return z.real / self.scale.real + 1j * (z.imag / self.scale.imag) + self.shift
 
 
-def denoiser(experiment: FLDMExperiment) -> Denoiser:
-    """The network, as deep as its vertex count allows where the experiment does not say."""
-    return Denoiser(experiment.model, experiment.model.blocks or blocks_for(experiment.surface.vertices))
+def latent_scaling(copies: list[Prepared], invariants: int) -> Scaling:
+    """√(π/2) / E|Z_i| for vectors (paper, "Scaling input latents"); mean 0, variance 1 for invariants."""
+    latents = np.concatenate([copy.latents for copy in copies])
+    vectors, rest = np.split(latents, [latents.shape[1] - invariants], axis=1)
+    of_vectors = np.sqrt(np.pi / 2) / np.maximum(np.abs(vectors).mean(0), 1e-6)
+    of_rest = 1 / np.maximum(rest.real.std(0), 1e-6) + 1j / np.maximum(rest.imag.std(0), 1e-6)
+    shift = np.concatenate([np.zeros(vectors.shape[1]), rest.mean(0)])
+    scale = np.concatenate([of_vectors * (1 + 1j), of_rest])
+    return Scaling(shift.astype(np.complex64), scale.astype(np.complex64))
+
+
+def denoiser(experiment: FLDMExperiment, codec: Codec) -> Denoiser | MixedDenoiser:
+    """The network for this codec, as deep as its vertex count allows where the experiment does not say.
+
+    Raises ValueError where a network of vectors alone is asked for a codec with invariant channels.
+    """
+    latents, invariants = codec.config.latents, codec.config.invariants
+    model = replace(experiment.model, latents=latents, invariants=invariants)
+    blocks = model.blocks or blocks_for(experiment.surface.vertices)
+    if model.network == "mixed":
+        return MixedDenoiser(model, blocks)
+    if invariants:
+        raise ValueError(
+            f"model.network is 'vectors' but {invariants} of the FL-VAE's {latents} channels are invariant; "
+            "take --model.network mixed, or --weights of an FL-VAE of vectors alone"
+        )
+    return Denoiser(model, blocks)
 
 
 def schedule(model: FLDM) -> np.ndarray:
@@ -154,7 +194,7 @@ def schedule(model: FLDM) -> np.ndarray:
     return ddpm.linear_schedule(model.steps, model.beta_start, model.beta_end)
 
 
-def diffusion_loss(model: FLDM, network: Denoiser) -> LossFn:
+def diffusion_loss(model: FLDM, network: Denoiser | MixedDenoiser) -> LossFn:
     """E ‖ε − ε̂(Z_t, t)‖² at a random t for each copy (paper, eq. 8), per real coordinate: 1 for ε̂ = 0."""
     alphas = jnp.asarray(schedule(model), jnp.float32)
 
@@ -163,11 +203,13 @@ def diffusion_loss(model: FLDM, network: Denoiser) -> LossFn:
         t = jax.random.randint(of_time, (), 1, model.steps + 1)
         noise = tangent_noise(of_noise, latents.shape)
         noisy = ddpm.diffuse(latents, noise, alphas[t])
-        predicted = network.apply(params, tables, noisy, t.astype(jnp.float32))
+        predicted = denoise(network, params, tables, noisy, t.astype(jnp.float32))
         errors = jnp.mean(squared_modulus(predicted - noise), -1) / 2
         return jnp.sum(tables.fine.masses * errors)
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
+        if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
+            return one(params, *jax.tree.map(lambda a: a[0], batch), key), {}
         keys = jax.random.split(key, batch.latents.shape[0])
         each = jax.vmap(one, (None, 0, 0, 0))(params, batch.tables, batch.latents, keys)
         return jnp.mean(each), {}

@@ -13,9 +13,10 @@ from flx.config import FLDMExperiment
 from flx.fields import ddpm
 from flx.fields.algebra import tangent_noise
 from flx.mesh.assets import read_asset
+from flx.models.denoiser import denoise
 from flx.pipeline.bake import Baked, bake, open_canvas, side_by_side, write_baked, write_png
 from flx.pipeline.codec import load_codec
-from flx.pipeline.learn import asset_file, denoiser, latent_scale, load_copies, schedule
+from flx.pipeline.learn import asset_file, denoiser, latent_scaling, load_copies, schedule
 from flx.pipeline.prepare import open_cache, prepare
 from flx.pipeline.runs import Run, load_config, write_atomically
 from flx.pipeline.train import restore
@@ -45,8 +46,9 @@ def sample(
     cache = open_cache(run.prepared, asset, surface, codec)
     prepare(cache, asset, surface, codec)
     copies = load_copies(cache, experiment)
-    scale, home = latent_scale(copies), copies[0]
-    network, model = denoiser(experiment), experiment.model
+    scaling, home = latent_scaling(copies, codec.config.invariants), copies[0]
+    network = denoiser(experiment, codec)
+    model = network.config
     state = restore(run, experiment.train, abstract_params(network, home.tables, model.latents))
     alphas = schedule(model)
     table = ddpm.ddim_steps(alphas, steps) if sampler == "ddim" else ddpm.ancestral_steps(alphas)
@@ -55,14 +57,15 @@ def sample(
     def draw(params: Any, tables: Any, key: jax.Array) -> jax.Array:
         of_start, of_steps = jax.random.split(key)
         start = tangent_noise(of_start, (len(home.latents), model.latents))
-        return ddpm.reverse(lambda z, t: network.apply(params, tables, z, t), table, start, of_steps)
+        return ddpm.reverse(lambda z, t: denoise(network, params, tables, z, t), table, start, of_steps)
 
     canvas = open_canvas(asset, home.triangulation, texture_size)
     out = out or run.samples
     variations: list[Baked] = []
     for n in tqdm(range(count), desc="variations", unit="texture", dynamic_ncols=True):
         key = jax.random.fold_in(jax.random.key(seed), n)
-        baked = bake(canvas, codec, np.asarray(draw(state.ema, home.tables, key)) / scale)
+        z = np.asarray(draw(state.ema, home.tables, key))
+        baked = bake(canvas, codec, scaling.to_latents(z))
         write_baked(asset, baked, out / f"variation_{n:02d}.glb")
         for k, image in enumerate(baked.images):
             if not asset.textures[k].flat:

@@ -1,0 +1,28 @@
+"""A vase that flx paints itself, learnt at 5K vertices in about ten minutes of 2 CPU cores.
+
+  flx train experiments/demo.py && flx sample runs/demo --count 4
+  flx train experiments/demo.py --surface.path YOUR.glb      the same on your own mesh
+
+The loss, 1 for an answer of zero, ends near 0.17.
+"""
+
+from flx.config import FLDM, FLDMExperiment, Surface, Train
+
+config = FLDMExperiment(
+    name="demo",
+    model=FLDM(
+        network="mixed",  # the released codes have invariant channels
+        channels=48,  # paper: 96; what two cores can train in minutes
+        precision="float32",  # bfloat16 is faster only where the CPU has AMX
+    ),
+    surface=Surface(vertices=5000, copies=8),
+    train=Train(
+        steps=2400,
+        batch=1,
+        learning_rate=1e-3,
+        warmup=50,
+        clip=1.0,
+        ema=0.995,
+        checkpoint_every=100,
+    ),
+)

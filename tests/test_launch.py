@@ -1,0 +1,139 @@
+"""The command line, from a file to new textures: `experiments/smoke.py` run as a user runs it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from flx.mesh.vase import write_vase
+
+ROOT = Path(__file__).parent.parent
+SMOKE = str(ROOT / "experiments" / "smoke.py")
+
+
+def flx(*arguments: str, cwd: Path, status: int = 0) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "flx.launch", *arguments]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=400)
+    assert done.returncode == status, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> Path:
+    """A folder with the vase, and a run of the smoke experiment that was killed and called again."""
+    folder = tmp_path_factory.mktemp("flx")
+    write_vase(folder / "vase.glb")
+    arguments = ["train", SMOKE, "--surface.path", "vase.glb"]
+    killed = subprocess.Popen([sys.executable, "-m", "flx.launch", *arguments], cwd=folder)
+    first = folder / "runs" / "smoke" / "checkpoints" / "10"
+    while not first.exists() and killed.poll() is None:
+        time.sleep(0.05)
+    os.kill(killed.pid, signal.SIGKILL)
+    killed.wait()
+    assert killed.returncode == -signal.SIGKILL and first.exists()
+    again = flx(*arguments, cwd=folder)
+    assert "resumed at step" in again.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sampled(trained: Path) -> Path:
+    flx("sample", "runs/smoke", "--count", "2", "--steps", "4", "--texture-size", "256", cwd=trained)
+    return trained / "runs" / "smoke" / "samples"
+
+
+def test_metrics_have_each_step_once(trained):
+    rows = (trained / "runs" / "smoke" / "metrics.csv").read_text().splitlines()[1:]
+    assert [int(row.split(",")[0]) for row in rows] == [10, 20, 30]
+
+
+def test_variations_keep_the_mesh_and_change_its_texture(trained, sampled):
+    """Loaded by trimesh, not by flx: same positions, faces and coordinates; only the picture differs."""
+    before = trimesh.load_mesh(trained / "vase.glb", process=False)
+    texture = np.asarray(before.visual.material.baseColorTexture.convert("RGB").resize((256, 256)), float)
+    seen = [texture]
+    for n in range(2):
+        after = trimesh.load_mesh(sampled / f"variation_{n:02d}.glb", process=False)
+        np.testing.assert_array_equal(after.vertices, before.vertices)
+        np.testing.assert_array_equal(after.faces, before.faces)
+        np.testing.assert_array_equal(after.visual.uv, before.visual.uv)
+        picture = after.visual.material.baseColorTexture
+        assert picture.size == (256, 256)
+        np.testing.assert_array_equal(np.asarray(picture), Image.open(sampled / f"variation_{n:02d}.png"))
+        assert all(np.abs(np.asarray(picture, float) - other).mean() > 3 for other in seen)
+        seen.append(np.asarray(picture, float))
+    assert Image.open(sampled / "contact_sheet.png").width > 3 * 300
+
+
+def test_the_same_seed_gives_the_same_files_after_a_kill(trained, sampled):
+    wanted = {path.name: path.read_bytes() for path in sampled.iterdir()}
+    arguments = [
+        "sample",
+        "runs/smoke",
+        "--count",
+        "2",
+        "--steps",
+        "4",
+        "--texture-size",
+        "256",
+        "--out",
+        "again",
+    ]
+    killed = subprocess.Popen([sys.executable, "-m", "flx.launch", *arguments], cwd=trained)
+    while not (trained / "again" / "variation_00.glb").exists() and killed.poll() is None:
+        time.sleep(0.02)
+    killed.kill()
+    killed.wait()
+    left = [p for p in (trained / "again").iterdir() if not p.name.startswith(".")]
+    assert left and all(path.read_bytes() == wanted[path.name] for path in left)
+    flx(*arguments, cwd=trained)
+    for name, content in wanted.items():
+        assert (trained / "again" / name).read_bytes() == content
+
+
+def test_another_asset_under_the_same_name_is_refused(trained):
+    said = flx("train", SMOKE, cwd=trained, status=2).stderr
+    assert said.count("\n") == 1 and "--name" in said
+
+
+def test_reconstruct_measures_what_it_writes(trained):
+    arguments = ["vase.glb", "--vertices", "1500", "--texture-size", "256", "--out", "back"]
+    metrics = json.loads(flx("reconstruct", *arguments, cwd=trained).stdout)
+    assert json.loads((trained / "back" / "metrics.json").read_text()) == metrics
+    assert 17 < metrics["psnr"] < 40 and 0 < metrics["dssim"] < 0.4 and metrics["peak_bytes"] > 1e8
+    for name in ("reconstruction.glb", "reconstruction.png", "side_by_side.png"):
+        assert (trained / "back" / name).stat().st_size > 10_000
+
+
+def test_doctor_reports_in_words_and_in_json(trained):
+    assert "vertices" in flx("doctor", "vase.glb", cwd=trained).stdout
+    report = json.loads(flx("doctor", "vase.glb", "--json", cwd=trained).stdout)
+    assert report["components"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["doctor", "missing.glb"], "missing.glb"),
+        (["train", "missing.py"], "missing.py"),
+        (["sample", "runs/none"], "runs/none"),
+        (["frobnicate"], "frobnicate"),
+        (["reconstruct", "vase.glb", "--weights", "vase.glb"], "vase.glb"),
+    ],
+)
+def test_wrong_input_is_one_line_and_status_2(trained, arguments, named):
+    said = flx(*arguments, cwd=trained, status=2).stderr
+    assert said.count("\n") == 1 and named in said
+
+
+def test_a_misspelt_field_is_answered_with_the_nearest_one(trained):
+    said = flx("train", SMOKE, "--train.stepz", "3", cwd=trained, status=2).stderr
+    assert "--train.steps" in said
