@@ -268,15 +268,16 @@ def _closest(
     _, hits, closest = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points), np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int64)
     )
-    hits = np.array(hits, np.int64).reshape(-1)
-    a, b, c = (vertices[faces[hits, k]] for k in range(3))
+    faces_hit = np.empty(len(points), np.int64)  # libigl's integer is another of 64 bits
+    faces_hit[:] = np.ravel(hits)
+    a, b, c = (vertices[faces[faces_hit, k]] for k in range(3))
     ab, ac, ap = b - a, c - a, np.asarray(closest).reshape(-1, 3) - a
     dot = lambda x, y: np.einsum("px,px->p", x, y)  # noqa: E731
     area = np.maximum(dot(ab, ab) * dot(ac, ac) - dot(ab, ac) ** 2, np.finfo(float).tiny)
     second = (dot(ac, ac) * dot(ap, ab) - dot(ab, ac) * dot(ap, ac)) / area
     third = (dot(ab, ab) * dot(ap, ac) - dot(ab, ac) * dot(ap, ab)) / area
     barycentrics = np.clip(np.stack([1 - second - third, second, third], 1), 0, 1)
-    return SurfacePoints(hits, barycentrics / barycentrics.sum(1, keepdims=True))
+    return SurfacePoints(faces_hit, barycentrics / barycentrics.sum(1, keepdims=True))
 
 
 def ring_points(

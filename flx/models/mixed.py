@@ -58,7 +58,8 @@ class MixedConv(nn.Module):
         hidden = nn.silu(sum(seen, RealDense(channels)(embedding)))
         t, gate = jnp.split(RealDense(3 * channels, precision)(hidden), [2 * channels], -1)
 
-        q = sum(PairsDense(channels, precision)(field) for field in (x, mean, reflected, gradient)) / 2
+        around = [PairsDense(channels, precision)(field) for field in (mean, reflected, gradient)]
+        q = sum(around, PairsDense(channels, precision)(x)) / 2
         k = PairsDense(channels, precision)(q)
         against = nn.relu(-both(q, k)[0]) / (both(k, k)[0] + 1e-6)  # VN nonlinearity (see `algebra`)
         return (q + jnp.tile(against, 2) * k) * jnp.tile(2 * nn.sigmoid(gate), 2), t

@@ -24,6 +24,7 @@ class FieldLatentVAE(nn.Module):
     config: FLVAE
 
     def setup(self) -> None:
+        check(self.config)
         family = {"transformer": transformer, "frame": frame}[self.config.encoder]
         self.encoder = family.Encoder(self.config)
         self.decoder = family.Decoder(self.config)
@@ -44,6 +45,20 @@ class FieldLatentVAE(nn.Module):
         z = posterior.sample(key)
         z = jnp.broadcast_to(z[..., None, :], (*queries.shape, z.shape[-1]))
         return self.decode(queries, z), posterior
+
+
+def check(config: FLVAE) -> None:
+    """Raises ValueError where the encoder cannot make codes of this kind."""
+    invariants, latents = config.invariants, config.latents
+    if config.encoder == "transformer" and invariants:
+        raise ValueError(
+            f"model.invariants is {invariants}, but the transformer's codes are vectors: make it 0"
+        )
+    if config.encoder == "frame" and not (1 <= invariants <= 3 and invariants < latents <= invariants + 12):
+        raise ValueError(
+            f"model.invariants is {invariants} of {latents} latents; the frame encoder has 1 to 3, "
+            "and 1 to 12 vectors beside them"
+        )
 
 
 def encode(config: FLVAE, params: Any, rings: RingSamples) -> Posterior:

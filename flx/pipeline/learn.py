@@ -153,11 +153,11 @@ class Scaling(NamedTuple):
     def to_diffusion(self, latents: Complex64[np.ndarray, "V D"]) -> Complex64[np.ndarray, "V D"]:
         """Scaled latents."""
         z = latents - self.shift
-        return z.real * self.scale.real + 1j * (z.imag * self.scale.imag)
+        return np.real(z) * np.real(self.scale) + 1j * (np.imag(z) * np.imag(self.scale))
 
     def to_latents(self, z: Complex64[np.ndarray, "V D"]) -> Complex64[np.ndarray, "V D"]:
         """The inverse."""
-        return z.real / self.scale.real + 1j * (z.imag / self.scale.imag) + self.shift
+        return np.real(z) / np.real(self.scale) + 1j * (np.imag(z) / np.imag(self.scale)) + self.shift
 
 
 def latent_scaling(copies: list[Prepared], invariants: int) -> Scaling:
@@ -165,7 +165,7 @@ def latent_scaling(copies: list[Prepared], invariants: int) -> Scaling:
     latents = np.concatenate([copy.latents for copy in copies])
     vectors, rest = np.split(latents, [latents.shape[1] - invariants], axis=1)
     of_vectors = np.sqrt(np.pi / 2) / np.maximum(np.abs(vectors).mean(0), 1e-6)
-    of_rest = 1 / np.maximum(rest.real.std(0), 1e-6) + 1j / np.maximum(rest.imag.std(0), 1e-6)
+    of_rest = 1 / np.maximum(np.real(rest).std(0), 1e-6) + 1j / np.maximum(np.imag(rest).std(0), 1e-6)
     shift = np.concatenate([np.zeros(vectors.shape[1]), rest.mean(0)])
     scale = np.concatenate([of_vectors * (1 + 1j), of_rest])
     return Scaling(shift.astype(np.complex64), scale.astype(np.complex64))
@@ -209,7 +209,8 @@ def diffusion_loss(model: FLDM, network: Denoiser | MixedDenoiser) -> LossFn:
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
         if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
-            return one(params, *jax.tree.map(lambda a: a[0], batch), key), {}
+            tables, latents = jax.tree.map(lambda a: a[0], batch)
+            return one(params, tables, latents, key), {}
         keys = jax.random.split(key, batch.latents.shape[0])
         each = jax.vmap(one, (None, 0, 0, 0))(params, batch.tables, batch.latents, keys)
         return jnp.mean(each), {}
