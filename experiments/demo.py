@@ -1,4 +1,4 @@
-"""A vase that flx paints itself, learnt at 5K vertices in about ten minutes of 2 CPU cores.
+"""A vase that flx paints itself, learnt at 5K vertices in about 13 minutes of 2 CPU cores.
 
   flx train experiments/demo.py && flx sample runs/demo --count 4
   flx train experiments/demo.py --surface.path YOUR.glb      the same on your own mesh
