@@ -44,7 +44,7 @@ def dense(x: Float[Array, "*V C"], weight: Float[Array, "C D"], precision: Preci
     """x W with inputs of the given precision and float32 sums; float64 inputs stay float64.
 
     The barriers keep XLA:CPU from splitting the product along a concatenation before it and from fusing
-    what is gathered there into each part: a convolution and its gradient take 20 ms instead of 30.
+    what is gathered there into each part, which is slow.
     """
     x = jax.lax.optimization_barrier(x)
     if precision == "float32" or x.dtype == jnp.float64:

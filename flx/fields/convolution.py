@@ -153,12 +153,12 @@ def _spread(
     """
 
     def one(_: None, channel: tuple[Array, Array]) -> tuple[None, Array]:
-        return None, gathered_sum(rings, *channel)
+        return None, _gathered_sum(rings, *channel)
 
     return jax.lax.scan(one, None, (kappa, _powers(x, len(kappa))))[1]
 
 
-def gathered_sum(
+def _gathered_sum(
     rings: OneRings, kappa: Complex[Array, "V K"], y: Complex[Array, "V C"]
 ) -> Complex[Array, "V C"]:
     slots = range(kappa.shape[1])
@@ -175,7 +175,7 @@ def _spread_backward(saved: tuple, cotangent: Array) -> tuple:
 
     def one(_: None, channel: tuple[Array, Array, Array]) -> tuple[None, tuple[Array, Array]]:
         kappa, power, bar = channel
-        power_bar = gathered_sum(rings, received(rings, kappa), bar)
+        power_bar = _gathered_sum(rings, received(rings, kappa), bar)
         slots = range(kappa.shape[1])
         dots = [_row_dots(bar, rows(power, rings.neighbors[:, k])) for k in slots]
         return None, (jnp.stack(dots, 1), power_bar)
