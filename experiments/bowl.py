@@ -8,7 +8,17 @@ from flx.config import FLDM, FLDMExperiment, Surface, Train
 
 config = FLDMExperiment(
     name="bowl",
-    model=FLDM(network="mixed", channels=32, precision="float32"),
+    model=FLDM(network="mixed", channels=48, precision="float32"),
     surface=Surface(vertices=10_000, copies=8, up="z"),
-    train=Train(steps=4000, batch=1, learning_rate=1e-3, ema=0.995, clip=1.0, checkpoint_every=100),
+    train=Train(
+        steps=4000,
+        batch=1,
+        optimizer="muon",
+        learning_rate=1.6e-2,
+        final_learning_rate=1e-4,
+        warmup=50,
+        clip=1.0,
+        ema=0.995,
+        checkpoint_every=100,
+    ),
 )

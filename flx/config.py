@@ -76,6 +76,7 @@ class Train:
 
     steps: int = 300_000
     batch: int = 16  # mesh copies, or one-rings
+    optimizer: Literal["adam", "muon"] = "adam"  # the paper's; ours for short trainings
     learning_rate: float = 1e-3  # cosine to `final_learning_rate`
     final_learning_rate: float = 1e-5
     warmup: int = 0  # steps

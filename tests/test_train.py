@@ -21,6 +21,7 @@ from flx.config import Train
 from flx.pipeline.checkpoint import Checkpoints
 from flx.pipeline.runs import Run
 from flx.pipeline.train import (
+    ADAM_BESIDE_MUON,
     TrainState,
     initial_state,
     learning_rate,
@@ -261,6 +262,25 @@ def test_adam_takes_the_scheduled_rate_and_clip_bounds_the_gradient():
     np.testing.assert_allclose(updates["w"], [-0.02, 0.02], rtol=1e-3)
     first_moment = optax.tree_utils.tree_get(moments, "mu")["w"]
     np.testing.assert_allclose(first_moment, 0.1 * 1e-3 * np.array([0.6, -0.8]), rtol=1e-5)
+
+
+def test_muon_turns_matrices_by_the_rate_and_leaves_the_rest_to_adam():
+    """Every singular value of a kernel's update is near the rate, whatever the gradient's; signs elsewhere.
+
+    The iteration ends with singular values from about 0.7 to 1.2 (Jordan et al.). The stack and (re, im) are
+    matrices of their own: [2, 6, 8] is two of them.
+    """
+    rng = np.random.default_rng(0)
+    gradient = {"dense": {"kernel": rng.normal(size=(2, 6, 8)), "bias": rng.normal(size=8)}}
+    gradient["dense"]["kernel"][0] *= 1e3
+    gradient = jax.tree.map(jnp.float32, gradient)
+    optimizer = make_optimizer(Train(steps=10, learning_rate=0.1, optimizer="muon"))
+    updates = optimizer.update(gradient, optimizer.init(gradient), gradient)[0]["dense"]
+    scaled = np.linalg.svd(updates["kernel"], compute_uv=False) / (0.1 * np.sqrt(8 / 6))
+    assert np.all((scaled > 0.6) & (scaled < 1.3))
+    along = -updates["bias"] / np.sign(gradient["dense"]["bias"])
+    np.testing.assert_allclose(along, along[0], rtol=1e-3)  # Adam's first step knows the signs alone
+    assert 1 < along[0] / (0.1 * ADAM_BESIDE_MUON) < 2  # longer than the rate by Nesterov's momentum
 
 
 def test_steps_draw_from_their_own_key():

@@ -1,4 +1,4 @@
-"""One training loop for both models: Adam, a cosine schedule, an average of the parameters, checkpoints.
+"""One training loop for both models: Adam or Muon, a cosine schedule, averaged parameters, checkpoints.
 
 Step n (from 0) sees `batches(n)` and the key `fold_in(seed, n)`, whatever happened before it: a run that was
 killed and called again takes the steps it would have taken. "Step" in metrics.csv, in messages and in the
@@ -34,6 +34,9 @@ from flx.pipeline.runs import Run, only_trainer, write_atomically
 LossFn = Callable[[Any, Any, Array], tuple[Array, dict[str, Array]]]  # parameters, batch, key → loss, metrics
 Batches = Callable[[int], Any]  # step → arrays, always the same for a step
 
+MATRICES = ("kernel", "output")  # names of parameters that Muon takes: of a layer, of a filter bank
+ADAM_BESIDE_MUON = 0.15  # of Muon's rate, for parameters that are no matrices
+
 _SILENCE = 30.0  # most seconds without a word where there is no terminal for a progress bar
 
 
@@ -57,7 +60,7 @@ def learning_rate(config: Train, step: Int[Any, ""] | int) -> Float32[Array, ""]
 
 
 def make_optimizer(config: Train) -> optax.GradientTransformation:
-    """Adam along `learning_rate`, on gradients no longer than `clip` (0: as they are).
+    """Adam or Muon along `learning_rate`, on gradients no longer than `clip` (0: as they are).
 
     Raises ValueError where the configuration cannot be trained with.
     """
@@ -68,8 +71,28 @@ def make_optimizer(config: Train) -> optax.GradientTransformation:
         raise ValueError(f"train.warmup is {config.warmup}; keep it from 0 to train.steps ({config.steps})")
     if not 0 <= config.ema < 1:
         raise ValueError(f"train.ema is {config.ema}; keep it at least 0 and below 1")
-    adam = optax.adam(lambda step: learning_rate(config, step))
-    return optax.chain(optax.clip_by_global_norm(config.clip), adam) if config.clip else adam
+    optimizer = {"adam": optax.adam, "muon": muon}[config.optimizer](lambda step: learning_rate(config, step))
+    return optax.chain(optax.clip_by_global_norm(config.clip), optimizer) if config.clip else optimizer
+
+
+def muon(rate: optax.Schedule) -> optax.GradientTransformation:
+    """Muon (Jordan et al. 2024): updates of dense kernels made orthogonal: all directions learn alike.
+
+    `rate` is the spectral norm of such an update; what is no kernel is left to Adam, at a smaller rate.
+    """
+
+    def dimensions(params: Any) -> Any:
+        return jax.tree.map_with_path(_kernel_dimensions, params)
+
+    slower = lambda step: ADAM_BESIDE_MUON * rate(step)  # noqa: E731
+    return optax.contrib.muon(rate, adam_learning_rate=slower, muon_weight_dimension_numbers=dimensions)
+
+
+def _kernel_dimensions(path: tuple, leaf: Any) -> optax.contrib.MuonDimensionNumbers | None:
+    """Kernels are [..., inputs, outputs]; layers of a scan and (re, im) are matrices of their own."""
+    if getattr(path[-1], "key", None) not in MATRICES:
+        return None
+    return optax.contrib.MuonDimensionNumbers(reduction_axis=leaf.ndim - 2, output_axis=leaf.ndim - 1)
 
 
 def initial_state(config: Train, init_params: Any) -> TrainState:
