@@ -8,10 +8,10 @@ from flx.config import FLDM, FLDMExperiment, Surface, Train
 
 config = FLDMExperiment(
     name="bowl",
-    model=FLDM(network="mixed", channels=48, precision="float32"),
+    model=FLDM(network="mixed", channels=48, predicts="velocity", precision="float32"),
     surface=Surface(vertices=10_000, copies=8, up="z"),
     train=Train(
-        steps=4000,
+        steps=3000,
         batch=1,
         optimizer="muon",
         learning_rate=1.6e-2,

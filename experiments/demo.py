@@ -12,6 +12,7 @@ config = FLDMExperiment(
     name="demo",
     model=FLDM(
         network="mixed",  # the released codes have invariant channels
+        predicts="velocity",
         channels=48,  # paper: 96; what two cores can train in minutes
         precision="float32",  # bfloat16 is faster only where the CPU has AMX
     ),

@@ -40,6 +40,7 @@ class FLDM:
     embedding: int = 128  # width of the scalar embedding π
     conditions: int = 0  # m, real conditions ρ at each vertex
     blocks: tuple[int, int, int] | None = None  # fine in, coarse, fine out; None: from the vertex count
+    predicts: Literal["noise", "velocity"] = "noise"  # the paper's; ours for short trainings
     steps: int = 1000  # T
     beta_start: float = 1e-4  # linear schedule: ᾱ_T = 4e-5
     beta_end: float = 2e-2

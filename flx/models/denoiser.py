@@ -12,9 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Bool, Complex, Float, Float64
 
 from flx.config import FLDM
+from flx.fields import ddpm
 from flx.fields.convolution import field_conv, init_filter, pool, unpool
 from flx.models.layers import (
     ComplexDense,
@@ -202,8 +203,20 @@ def denoise(
     t: Float[Array, ""],
     rho: Float[Array, "V m"] | None = None,
 ) -> Complex[Array, "V D"]:
-    """The network as a function of its parameters."""
-    return network.apply(params, tables, z, t, rho)  # type: ignore
+    """The noise in z = Z_t, by the network as a function of its parameters.
+
+    It answers with ε, or with v = √α_t ε − √(1−α_t) Z (Salimans & Ho 2022): ε = √(1−α_t) Z_t + √α_t v.
+    """
+    answer = network.apply(params, tables, z, t, rho)
+    if network.config.predicts == "noise":  # type: ignore
+        return answer  # type: ignore
+    alpha = jnp.asarray(schedule(network.config), jnp.float32)[t.astype(jnp.int32)]  # type: ignore
+    return jnp.sqrt(1 - alpha) * z + jnp.sqrt(alpha) * answer  # type: ignore
+
+
+def schedule(config: FLDM) -> Float64[np.ndarray, "T"]:
+    """α_0 … α_T."""
+    return ddpm.linear_schedule(config.steps, config.beta_start, config.beta_end)
 
 
 def small(key: Array, shape: tuple[int, ...], dtype: type = jnp.float32) -> Array:

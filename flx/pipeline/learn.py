@@ -21,7 +21,7 @@ from flx.mesh.assets import Asset, read_asset
 from flx.mesh.tables import stack
 from flx.mesh.vase import write_vase
 from flx.models import frame
-from flx.models.denoiser import Denoiser, blocks_for, denoise, reach
+from flx.models.denoiser import Denoiser, blocks_for, denoise, reach, schedule
 from flx.models.mixed import MixedDenoiser
 from flx.models.vae import FieldLatentVAE, flvae_loss
 from flx.pipeline.bake import bake_back, write_baked
@@ -189,13 +189,12 @@ def denoiser(experiment: FLDMExperiment, codec: Codec) -> Denoiser | MixedDenois
     return Denoiser(model, blocks)
 
 
-def schedule(model: FLDM) -> np.ndarray:
-    """α_0 … α_T."""
-    return ddpm.linear_schedule(model.steps, model.beta_start, model.beta_end)
-
-
 def diffusion_loss(model: FLDM, network: Denoiser | MixedDenoiser) -> LossFn:
-    """E ‖ε − ε̂(Z_t, t)‖² at a random t for each copy (paper, eq. 8), per real coordinate: 1 for ε̂ = 0."""
+    """E ‖ε − ε̂(Z_t, t)‖² at a random t for each copy (paper, eq. 8), per real coordinate: 1 for ε̂ = 0.
+
+    Where velocities are predicted it is their error, ‖v − v̂‖² = ‖ε − ε̂‖² / α_t: of the large structure too,
+    which is decided where there is so much noise that ε tells nothing of it.
+    """
     alphas = jnp.asarray(schedule(model), jnp.float32)
 
     def one(params: Any, tables: MeshTables, latents: Array, key: Array) -> Array:
@@ -205,7 +204,8 @@ def diffusion_loss(model: FLDM, network: Denoiser | MixedDenoiser) -> LossFn:
         noisy = ddpm.diffuse(latents, noise, alphas[t])
         predicted = denoise(network, params, tables, noisy, t.astype(jnp.float32))
         errors = jnp.mean(squared_modulus(predicted - noise), -1) / 2
-        return jnp.sum(tables.fine.masses * errors)
+        error = jnp.sum(tables.fine.masses * errors)
+        return error / alphas[t] if model.predicts == "velocity" else error
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
         if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more

@@ -13,10 +13,10 @@ from flx.config import FLDMExperiment
 from flx.fields import ddpm
 from flx.fields.algebra import tangent_noise
 from flx.mesh.assets import read_asset
-from flx.models.denoiser import denoise
+from flx.models.denoiser import denoise, schedule
 from flx.pipeline.bake import Baked, bake, open_canvas, side_by_side, write_baked, write_png
 from flx.pipeline.codec import load_codec
-from flx.pipeline.learn import asset_file, denoiser, latent_scaling, load_copies, schedule
+from flx.pipeline.learn import asset_file, denoiser, latent_scaling, load_copies
 from flx.pipeline.prepare import open_cache, prepare
 from flx.pipeline.runs import Run, load_config, write_atomically
 from flx.pipeline.train import restore
