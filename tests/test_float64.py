@@ -197,6 +197,19 @@ def test_denoisers_do_not_see_padding(name):
 
 
 @networks
+def test_detail_goes_around_the_coarse_level(name):
+    """Where nothing is pooled and nothing comes back from below, a change is still seen: along the skip."""
+    network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
+    p = TABLES.pooling
+    cut = TABLES._replace(pooling=p._replace(child_weights=0 * p.child_weights, transports=0 * p.transports))
+    here, there = (
+        network.answer(network.params, cut, a, RHO) for a in (z, z + 5 * (np.arange(COUNT) == 9)[:, None])
+    )
+    change = np.abs(there - here).max(1)
+    assert change[9] > 10 * np.median(change)
+
+
+@networks
 def test_gradients_of_denoisers_are_slopes_and_know_no_frame(name):
     """Against a central difference along a random direction in all parameters; and in other frames."""
     network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
