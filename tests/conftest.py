@@ -1,6 +1,14 @@
 """Shared fixtures. Every annotated shape is checked while the tests run (see pyproject)."""
 
+import os
+from pathlib import Path
+
 from hypothesis import HealthCheck, settings
+
+# Tests that run `flx` as a user does compile the same programs in several processes: once is enough.
+CACHE = Path(__file__).parent.parent / ".pytest_cache" / "jax"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 settings.register_profile(
     "flx", deadline=None, derandomize=True, max_examples=20, suppress_health_check=[HealthCheck.too_slow]

@@ -96,6 +96,13 @@ def test_response_norm_gives_unit_power_and_ignores_spare_vertices():
     np.testing.assert_allclose(again[:500], y, rtol=1e-5)
 
 
+@pytest.mark.parametrize("size", [1e-1, 1.0, 1e3])
+def test_token_norm_gives_each_token_unit_power_whatever_its_size(size):
+    x = size * noise(9, 30, 5) * jnp.arange(1, 31)[:, None]
+    y = algebra.token_norm(x, jnp.array([[0.6] * 5, [0.8] * 5]))
+    np.testing.assert_allclose(np.mean(np.abs(y) ** 2, 1), 1, rtol=1e-3)
+
+
 def test_gradients_at_zero_are_numbers():
     zero = jnp.zeros((3, 2), jnp.complex64)
 

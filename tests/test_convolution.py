@@ -53,15 +53,15 @@ def turned(tables: MeshTables, alpha: np.ndarray) -> MeshTables:
     def rings(r: OneRings, turn: np.ndarray) -> OneRings:
         there = turn[np.asarray(r.neighbors)]
         logs, carried = r.logs * turn[:, None], r.transports * turn[:, None] * there.conj()
-        return r._replace(logs=logs.astype(jnp.complex64), transports=carried.astype(jnp.complex64))
+        return r._replace(logs=logs.astype(r.logs.dtype), transports=carried.astype(r.logs.dtype))
 
     p = tables.pooling
     at_center = turn[np.asarray(p.centers)]
     pooling = p._replace(
-        transports=(p.transports * at_center[np.asarray(p.parents)] * turn.conj()).astype(jnp.complex64),
+        transports=(p.transports * at_center[np.asarray(p.parents)] * turn.conj()).astype(p.transports.dtype),
         child_transports=(
             p.child_transports * at_center[:, None] * turn[np.asarray(p.children)].conj()
-        ).astype(jnp.complex64),
+        ).astype(p.transports.dtype),
     )
     return MeshTables(rings(tables.fine, turn), pooling, rings(tables.coarse, at_center))
 

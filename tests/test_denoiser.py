@@ -13,6 +13,8 @@ from test_convolution import field, relative, tables_of, turned
 
 from flx.config import FLDM
 from flx.models.denoiser import Denoiser, FCResNetBlock, blocks_for, reach
+from flx.models.layers import timestep_features
+from flx.models.mixed import MixedDenoiser
 from flx.types import MeshTables, OneRings
 
 SMALL = FLDM(latents=3, channels=6, vn_layers=1, embedding=8, conditions=2, precision="float32")
@@ -70,6 +72,37 @@ def test_reach_grows_with_depth():
     tables = tables_of(icosphere(3))
     shares = [reach(tables, b) for b in ((1, 1, 1), (1, 1, 2), (1, 2, 2), (2, 2, 2))]
     assert shares == sorted(shares) and 0 < shares[0] < shares[-1] <= 1
+
+
+@pytest.mark.parametrize("network", [Denoiser, MixedDenoiser])
+def test_each_part_has_as_many_blocks_as_asked(network):
+    config = dataclasses.replace(SMALL, latents=4, invariants=2 if network is MixedDenoiser else 0)
+    model = network(config, (3, 4, 5))
+    arguments = jax.random.key(0), TORUS, field(COUNT, 4), jnp.float32(1.0), RHO
+    params = jax.eval_shape(model.init, *arguments)["params"]
+    for part, count in (("before", 3), ("coarse", 4), ("after", 5)):
+        assert {leaf.shape[0] for leaf in jax.tree.leaves(params[part])} == {count}
+
+
+def test_a_block_that_adds_nothing_is_the_identity():
+    x, embedding = field(COUNT, 6), jnp.ones(8)
+    block = FCResNetBlock(SMALL)
+    shapes = jax.eval_shape(block.init, jax.random.key(0), x, TORUS.fine, embedding)
+    silent = jax.tree.map(lambda a: jnp.zeros(a.shape), shapes)
+    np.testing.assert_array_equal(block.apply(silent, x, TORUS.fine, embedding)[0], x)
+
+
+def test_features_of_steps_add_as_angles():
+    """As complex numbers f(a) f(b) = f(a + b), and steps of a thousand are told apart."""
+
+    def f(t):
+        cosines, sines = np.split(np.asarray(timestep_features(jnp.float32(t), 16)), 2)
+        return cosines + 1j * sines
+
+    np.testing.assert_allclose(f(3) * f(8), f(11), atol=1e-5)
+    steps = np.stack([f(t) for t in range(0, 1000, 37)])
+    apart = np.abs(steps[:, None] - steps[None]).max(-1) + np.eye(len(steps))
+    assert apart.min() > 0.1
 
 
 @pytest.mark.parametrize("filter", FILTERS)

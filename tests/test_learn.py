@@ -1,10 +1,16 @@
-"""Laws of the scaling between latents and what is diffused."""
+"""Laws of the scaling between latents and what is diffused, and of the loss."""
 
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
 import numpy as np
 from shapes import square_grid
 
-from flx.mesh.tables import mesh_tables
-from flx.pipeline.learn import latent_scaling
+from flx.config import FLDM
+from flx.fields.algebra import tangent_noise
+from flx.mesh.tables import mesh_tables, stack
+from flx.models.denoiser import Denoiser
+from flx.pipeline.learn import MeshBatch, diffusion_loss, latent_scaling, schedule
 from flx.pipeline.prepare import Prepared
 
 
@@ -30,3 +36,25 @@ def test_scaling_is_undone_turns_with_the_frame_and_has_the_size_of_noise():
     turn = np.exp(1j * rng.uniform(-np.pi, np.pi, (5000, 1))) ** np.array([1, 1, 0, 0])
     turned = scaling.to_diffusion((z * turn).astype(np.complex64))
     np.testing.assert_allclose(turned, scaled * turn, atol=1e-4)
+
+
+class Knowing(Denoiser):
+    """Finds the noise in `DATA` exactly, or says that there is none."""
+
+    says_nothing: bool = False
+
+    @nn.compact
+    def __call__(self, tables, z, t, rho=None):
+        alpha = jnp.asarray(schedule(FLDM()), jnp.float32)[t.astype(int)]
+        return 0 * z if self.says_nothing else (z - jnp.sqrt(alpha) * DATA) / jnp.sqrt(1 - alpha)
+
+
+DATA = tangent_noise(jax.random.key(3), (64, 8))
+
+
+def test_the_loss_is_zero_for_who_knows_the_noise_and_one_for_who_says_nothing():
+    batch = MeshBatch(stack([mesh_tables(square_grid(8))] * 50), jnp.stack([DATA] * 50))
+    for says_nothing, expected, close in ((False, 0, 1e-3), (True, 1, 0.05)):
+        loss = diffusion_loss(FLDM(), Knowing(FLDM(), (1, 1, 1), says_nothing))
+        found, _ = jax.jit(loss)({}, batch, jax.random.key(0))
+        np.testing.assert_allclose(found, expected, atol=close)

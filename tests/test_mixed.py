@@ -122,6 +122,16 @@ def test_a_block_turns_with_the_frames():
     assert relative(here, x) > 0.05 and relative(still, t) > 0.05
 
 
+def test_a_block_that_adds_nothing_is_the_identity():
+    rings = tables_of(torus(8, 6)).fine
+    start = tuple(real_pairs(f) for f in fields(48))
+    block = MixedBlock(CONFIG)
+    shapes = jax.eval_shape(block.init, jax.random.key(2), start, rings, jnp.ones(16))
+    silent = jax.tree.map(lambda a: jnp.zeros(a.shape), shapes)
+    for a, b in zip(block.apply(silent, start, rings, jnp.ones(16))[0], start, strict=True):  # type: ignore
+        np.testing.assert_array_equal(a, b)
+
+
 def test_the_denoiser_turns_its_vectors_and_not_its_invariants():
     tables = tables_of(icosphere(2))
     z = tangent_noise(jax.random.key(0), (len(tables.fine.masses), 4))

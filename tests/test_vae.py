@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from flx.config import FLVAE
 from flx.fields import polynomials
-from flx.fields.algebra import tangent_noise
+from flx.fields.algebra import complex_linear, real_pairs, tangent_noise
 from flx.models import frame
 from flx.models.layers import Posterior
+from flx.models.transformer import Attention
 from flx.models.vae import FieldLatentVAE, flvae_loss, kl_divergence
 from flx.pipeline.codec import Codec, initial_params, load_codec, save_codec
 from flx.types import Queries, RingSamples
@@ -150,6 +151,29 @@ def test_principal_components_keep_more_than_any_mean():
         params, r.logs, jnp.broadcast_to(z[:, None], (200, 64, 8)), method=FieldLatentVAE.decode
     )
     assert np.mean((back - r.colors) ** 2) < 0.1 * np.mean((r.colors.mean(1, keepdims=True) - r.colors) ** 2)
+
+
+def test_sampled_codes_have_the_mean_and_the_deviation_of_their_posterior():
+    posterior = Posterior(jnp.full(100_000, 0.7 - 0.3j), jnp.full(100_000, -0.5))
+    z = posterior.sample(jax.random.key(0))
+    np.testing.assert_allclose(np.mean(z), 0.7 - 0.3j, atol=0.01)
+    for coordinate in (np.real(z), np.imag(z)):
+        np.testing.assert_allclose(np.std(coordinate), np.exp(-0.5), rtol=0.01)
+
+
+def test_attention_is_that_of_real_pairs():
+    """Against the library's attention over (re, im) pairs."""
+    layer, x = Attention(4), tangent_noise(jax.random.key(0), (3, 7, 8))
+    params = layer.init(jax.random.key(1), x)
+    first, last = (params["params"][f"ComplexDense_{k}"]["kernel"] for k in (0, 1))
+
+    def heads(part):
+        return real_pairs(part.reshape(3, 7, 4, 2))
+
+    q, k, v = (heads(part) for part in jnp.split(complex_linear(x, first), 3, -1))
+    re, im = jnp.split(jax.nn.dot_product_attention(q, k, v, scale=2**-0.5), 2, -1)
+    expected = complex_linear(jax.lax.complex(re, im).reshape(x.shape), last)
+    np.testing.assert_allclose(layer.apply(params, x), expected, atol=1e-5)
 
 
 def test_kl_is_the_closed_form_of_two_real_gaussians_a_channel():

@@ -9,12 +9,12 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Complex, Complex64, Float, Float32
+from jaxtyping import Complex, Float
 
 Precision = Literal["bfloat16", "float32"]
 
 
-def tangent_noise(key: Array, shape: tuple[int, ...]) -> Complex64[Array, "..."]:
+def tangent_noise(key: Array, shape: tuple[int, ...]) -> Complex[Array, "..."]:
     """ε = ε₁ + iε₂ with ε₁, ε₂ ~ N(0, 1), so that E|ε|² = 2 and E|ε| = √(π/2) (paper, eq. 1)."""
     pair = jax.random.normal(key, (*shape, 2))
     return jax.lax.complex(pair[..., 0], pair[..., 1])
@@ -56,7 +56,7 @@ def dense(x: Float[Array, "*V C"], weight: Float[Array, "C D"], precision: Preci
 
 
 def complex_linear(
-    x: Complex[Array, "*V C"], weight: Float32[Array, "2 C D"], precision: Precision = "float32"
+    x: Complex[Array, "*V C"], weight: Float[Array, "2 C D"], precision: Precision = "float32"
 ) -> Complex[Array, "*V D"]:
     """x W as one real matrix product. No bias: a constant vector would not turn with the frame.
 
@@ -67,7 +67,7 @@ def complex_linear(
 
 
 def complex_linear_pairs(
-    x: Float[Array, "*V C2"], weight: Float32[Array, "2 C D"], precision: Precision = "float32"
+    x: Float[Array, "*V C2"], weight: Float[Array, "2 C D"], precision: Precision = "float32"
 ) -> Float[Array, "*V D2"]:
     """`complex_linear` of pairs: (x_re, x_im) [[W_re, W_im], [−W_im, W_re]]."""
     real, imaginary = weight

@@ -1,9 +1,9 @@
 """Gather tables of a triangulation: padded one-rings at two levels and the pooling between them.
 
-Geometry is computed in float64 and stored as the float32 and complex64 that networks read (flx.types has the
-conventions). The tables are intrinsic, coarse level included: coarse vertices are farthest-point samples
-in the distance along mesh edges, and fine vertices go to the nearest of them in that distance, so that a
-thin wall keeps its two sides apart.
+Geometry is computed in float64 (`exact_tables`) and rounded at the end to the float32 and complex64 that
+networks read (flx.types has the conventions). The tables are intrinsic, coarse level included: coarse
+vertices are farthest-point samples in the distance along mesh edges, and fine vertices go to the nearest of
+them in that distance, so that a thin wall keeps its two sides apart.
 """
 
 import os
@@ -42,6 +42,16 @@ def mesh_tables(
     Raises:
       ValueError: a vertex of either level has more neighbours than slots − 1; a coarse count outside 1..V.
     """
+    fine, pooling, coarse = exact_tables(triangulation, slots, seed, coarse_count)
+    return MeshTables(
+        OneRings(*map(_rounded, fine)), Pooling(*map(_rounded, pooling)), OneRings(*map(_rounded, coarse))
+    )
+
+
+def exact_tables(
+    triangulation: Triangulation, slots: int = 16, seed: int = 0, coarse_count: int | None = None
+) -> MeshTables:
+    """`mesh_tables` before they are rounded, in float64 and complex128: what symmetries are measured on."""
     count = len(triangulation.vertices)
     coarse_count = max(1, count // 4) if coarse_count is None else coarse_count
     if not 1 <= coarse_count <= count:
@@ -55,7 +65,7 @@ def mesh_tables(
 
 
 def one_rings(triangulation: Triangulation, frames: TangentFrames, slots: int = 16) -> OneRings:
-    """The padded one-rings of a triangulation; K is the largest ring in it, itself included.
+    """The padded one-rings of a triangulation, exact; K is the largest ring in it, itself included.
 
     Raises:
       ValueError: a vertex has more neighbours than slots − 1.
@@ -157,9 +167,9 @@ def _padded_rings(
     neighbors[p, slot] = q
     reverse = np.tile(np.arange(width, dtype=np.int32), (count, 1))
     reverse[p, slot] = reverse_slot
-    padded_logs = np.zeros((count, width), np.complex64)
+    padded_logs = np.zeros((count, width), np.complex128)
     padded_logs[p, slot] = logs
-    padded_transports = np.ones((count, width), np.complex64)
+    padded_transports = np.ones((count, width), np.complex128)
     padded_transports[p, slot] = transports
     weights = np.zeros((count, width))
     weights[:, 0] = masses
@@ -169,9 +179,13 @@ def _padded_rings(
         reverse=reverse,
         logs=padded_logs,
         transports=padded_transports,
-        weights=_normalized(weights).astype(np.float32),
-        masses=_normalized(masses).astype(np.float32),
+        weights=_normalized(weights),
+        masses=_normalized(masses),
     )
+
+
+def _rounded(array: np.ndarray) -> np.ndarray:
+    return array.astype({"f": np.float32, "c": np.complex64, "i": np.int32}[array.dtype.kind])
 
 
 def _normalized(weights: np.ndarray) -> np.ndarray:
@@ -278,17 +292,17 @@ def _pooling(forest: _Forest, masses: Float64[Any, "V"]) -> Pooling:
     shape = (len(forest.centers), int(slot.max()) + 1)
     children = np.repeat(forest.centers[:, None], shape[1], axis=1)
     children[parent, slot] = order
-    child_transports = np.ones(shape, np.complex64)
+    child_transports = np.ones(shape, np.complex128)
     child_transports[parent, slot] = forest.transports[order]
     weights = np.zeros(shape)
     weights[parent, slot] = masses[order]
     return Pooling(
         centers=forest.centers.astype(np.int32),
         parents=forest.parents.astype(np.int32),
-        transports=forest.transports.astype(np.complex64),
+        transports=forest.transports,
         children=children.astype(np.int32),
         child_transports=child_transports,
-        child_weights=_normalized(weights).astype(np.float32),
+        child_weights=_normalized(weights),
     )
 
 

@@ -37,7 +37,9 @@ class Attention(nn.Module):
         channels = x.shape[-1]
         qkv = ComplexDense(3 * channels, self.precision)(x)
         q, k, v = (self.split(part) for part in jnp.split(qkv, 3, -1))
-        y = jax.nn.dot_product_attention(q, k, v, scale=(channels // self.heads) ** -0.5)
+        # Not jax.nn.dot_product_attention, whose softmax is float32 even where all else is float64.
+        logits = jnp.einsum("...qhe,...khe->...hqk", q, k) * (channels // self.heads) ** -0.5
+        y = jnp.einsum("...hqk,...khe->...qhe", nn.softmax(logits), v)
         re, im = jnp.split(y, 2, -1)
         merged = jax.lax.complex(re, im).reshape(x.shape)
         return ComplexDense(channels, self.precision)(merged)

@@ -9,7 +9,7 @@ from typing import Any
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Complex, Float, Float32
+from jaxtyping import Complex, Float
 
 from flx.config import FLVAE
 from flx.fields import algebra
@@ -85,7 +85,7 @@ def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:
 
 
 def flvae_loss(
-    colors: Float32[Array, "*B Q 3"],
+    colors: Float[Array, "*B Q 3"],
     predicted: Float[Array, "*B Q 3"],
     posterior: Posterior,
     kl_weight: float,
