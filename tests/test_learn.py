@@ -4,6 +4,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from shapes import square_grid
 
 from flx.config import FLDM
@@ -39,22 +40,26 @@ def test_scaling_is_undone_turns_with_the_frame_and_has_the_size_of_noise():
 
 
 class Knowing(Denoiser):
-    """Finds the noise in `DATA` exactly, or says that there is none."""
+    """Finds what is asked of `DATA` exactly, or says that there is none."""
 
     says_nothing: bool = False
 
     @nn.compact
     def __call__(self, tables, z, t, rho=None):
         alpha = jnp.asarray(schedule(FLDM()), jnp.float32)[t.astype(int)]
-        return 0 * z if self.says_nothing else (z - jnp.sqrt(alpha) * DATA) / jnp.sqrt(1 - alpha)
+        noise = (z - jnp.sqrt(alpha) * DATA) / jnp.sqrt(1 - alpha)
+        velocity = jnp.sqrt(alpha) * noise - jnp.sqrt(1 - alpha) * DATA
+        return (not self.says_nothing) * (noise if self.config.predicts == "noise" else velocity)
 
 
 DATA = tangent_noise(jax.random.key(3), (64, 8))
 
 
-def test_the_loss_is_zero_for_who_knows_the_noise_and_one_for_who_says_nothing():
+@pytest.mark.parametrize("predicts", ["noise", "velocity"])
+def test_the_loss_is_zero_for_who_knows_the_answer_and_one_for_who_says_nothing(predicts):
+    model = FLDM(predicts=predicts)
     batch = MeshBatch(stack([mesh_tables(square_grid(8))] * 50), jnp.stack([DATA] * 50))
     for says_nothing, expected, close in ((False, 0, 1e-3), (True, 1, 0.05)):
-        loss = diffusion_loss(FLDM(), Knowing(FLDM(), (1, 1, 1), says_nothing))
+        loss = diffusion_loss(model, Knowing(model, (1, 1, 1), says_nothing))
         found, _ = jax.jit(loss)({}, batch, jax.random.key(0))
         np.testing.assert_allclose(found, expected, atol=close)
