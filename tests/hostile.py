@@ -346,6 +346,7 @@ CASES = [
     Case("OBJ: NaN texture coordinate", obj(lambda t: t.replace("vt 1 0", "vt nan 0")), "not finite"),
     Case("OBJ: texture coordinate 1e9", obj(lambda t: t.replace("vt 1 0", "vt 1e9 0")), "covers its textures"),
     Case("OBJ: a word for a number", obj(lambda t: t.replace("v 1 0 0", "v one 0 0")), "'one' is no number"),
+    Case("OBJ: a sign for an index", obj(lambda t: t.replace("f 1/1", "f 1/-")), "'-' is no number"),
     Case("OBJ: vertex of two numbers", obj(lambda t: t.replace("v 1 0 0", "v 1 0")), "no 3 numbers"),
     Case("OBJ: face of two corners", obj(lambda t: t + "f 1/1 2/2\n"), "2 corners"),
     Case("OBJ: cut off", obj(lambda t: t[: t.index("f 1/1 2/2") + 8]), "2 corners"),

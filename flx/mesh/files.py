@@ -75,15 +75,18 @@ def check_faces(count: int) -> None:
 
 def numbers(text: str, dtype: type = np.float64) -> Num[Any, "N"]:
     """The numbers of a text, separated by white space. Raises BadFile where something else stands there."""
+    words = text.split()
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # older NumPy warns, and leaves the rest out
         try:
-            return np.fromstring(text, dtype, sep=" ")
+            values = np.fromstring(text, dtype, sep=" ")
+            if len(values) == len(words):  # "- 1" is one number to NumPy
+                return values
         except (ValueError, DeprecationWarning):
             pass
-    for word in text.split():
+    for word in words:
         try:
             dtype(word)
-        except ValueError:
-            raise BadFile(f"{word[:40]!r} is no number; export it again") from None
+        except (ValueError, OverflowError):
+            raise BadFile(f"{word[:40]!r} is no number here; export it again") from None
     raise BadFile("a number is broken; export it again")
