@@ -93,6 +93,7 @@ def test_each_fault_put_in_is_counted_and_taken_out(seed, degenerate, duplicate,
         "unused_vertices": unused + 1,
         "nonmanifold_edges": 0,
         "disagreeing_edges": 0,
+        "nonmanifold_vertices": 0,
         "split_vertices": 0,
     }
     assert np.array_equal(fixed.faces, faces) and np.array_equal(fixed.vertices, points)

@@ -56,6 +56,7 @@ class Report(NamedTuple):
     unused_vertices: int
     nonmanifold_edges: int
     disagreeing_edges: int
+    nonmanifold_vertices: int
     split_vertices: int
     vertices: int
     faces: int
@@ -300,39 +301,6 @@ def _report(
         textures=tuple(f"{s} (flat)" if t.flat else s for s, t in zip(sizes, textures, strict=True)),
         missing_images=contents.missing_images,
     )
-
-
-LINES = (
-    ("polygons cut into triangles", "polygons"),
-    ("vertices welded by position", "welded_vertices"),
-    ("faces dropped: a corner twice", "degenerate_faces"),
-    ("faces dropped: doubled ears", "ear_faces"),
-    ("faces dropped: duplicates", "duplicate_faces"),
-    ("vertices dropped: no face", "unused_vertices"),
-    ("edges cut: more than two faces", "nonmanifold_edges"),
-    ("edges cut: orientations disagree", "disagreeing_edges"),
-    ("vertices added by cuts", "split_vertices"),
-    ("sliver faces, kept", "sliver_faces"),
-    ("faces without area on the texture", "flat_uv_faces"),
-    ("faces that leave [0, 1], repeated", "outside_uv_faces"),
-)
-
-
-def describe(report: Report) -> str:
-    """The report as lines of text; repairs that were not needed are left out."""
-    lines = [
-        ("file", f"{report.path} ({report.format}), {report.parts} parts, {report.materials} materials"),
-        ("read", f"{report.vertices_read:,} vertices, {report.faces_read:,} faces"),
-        *((label, f"{getattr(report, key):,}") for label, key in LINES if getattr(report, key)),
-        ("mesh", f"{report.vertices:,} vertices, {report.faces:,} faces, {report.components} components"),
-        ("boundary", f"{report.boundary_edges:,} edges in {report.boundary_loops} loops"),
-        ("Euler characteristic", str(report.euler)),
-        ("colour", report.color_source),
-        *(("texture", name) for name in report.textures),
-        *(("missing image, not needed", name) for name in report.missing_images),
-    ]
-    width = max(len(label) for label, _ in lines)
-    return "\n".join(f"{label:<{width}}  {value}" for label, value in lines)
 
 
 # ---------------------------------------------------------------------------------------------- writing

@@ -29,7 +29,8 @@ class Repairs(NamedTuple):
     unused_vertices: int  # dropped: no face
     nonmanifold_edges: int  # cut: three faces or more
     disagreeing_edges: int  # cut: two faces that run along it in the same direction
-    split_vertices: int  # added by the cuts, and at vertices where separate fans met
+    nonmanifold_vertices: int  # cut: separate fans met there, or do since an edge was cut
+    split_vertices: int  # added by all cuts
 
 
 class Shape(NamedTuple):
@@ -100,6 +101,7 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
         unused_vertices=len(np.unique(representative)) - len(used),
         nonmanifold_edges=several,
         disagreeing_edges=disagreeing,
+        nonmanifold_vertices=int((np.bincount(place) > 1).sum()),
         split_vertices=len(place) - len(used),
     )
     return Repaired(points[used[place[order]]], rank[split], sources, repairs)
