@@ -15,6 +15,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,20 +29,42 @@ from flx.config import Experiment, FLDMExperiment, FLVAEExperiment
 Positional = tyro.conf.Positional
 
 
-def doctor(mesh: Positional[Path], /, texture: Path | None = None, json: bool = False) -> None:
-    """Say what is in a mesh file and what would be repaired. Writes nothing.
+def doctor(
+    mesh: Positional[Path],
+    /,
+    texture: Path | None = None,
+    config: Path | None = None,
+    vertices: int | None = None,
+    json: bool = False,
+) -> None:
+    """Say what is in a mesh file, what would be repaired and what a run would take. Writes nothing.
 
-    Example: flx doctor bowl.glb
+    Example: flx doctor bowl.glb --config experiments/bowl.py
 
     Args:
         mesh: A .glb, .gltf, .obj or .ply file.
         texture: An image to use instead of the file's own.
+        config: The run that is planned, as for `flx train`; the paper's unless given.
+        vertices: Of the planned run; the config's unless given.
         json: Print one JSON object.
     """
-    from flx.mesh.assets import describe, read_asset
+    from flx.mesh.assets import read_asset
+    from flx.mesh.doctor import describe, examine
 
-    report = read_asset(mesh, texture).report
-    print(_json(report._asdict()) if json else describe(report))
+    plan = FLDMExperiment() if config is None else read_config(config)
+    if not isinstance(plan, FLDMExperiment):
+        raise ValueError(f"{config} trains no mesh; give a config such as experiments/demo.py")
+    if vertices is not None:
+        plan = replace(plan, surface=replace(plan.surface, vertices=vertices))
+    try:
+        asset = read_asset(mesh, texture)
+    except (ValueError, OSError) as refusal:
+        if json:
+            print(_json({"path": str(mesh), "verdict": f"refused: {refusal}"}))
+        raise
+    findings = examine(asset, plan)
+    found = {**asset.report._asdict(), **findings._asdict(), "plan": findings.plan._asdict()}
+    print(_json(found) if json else describe(asset.report, findings))
 
 
 def sample(

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from flx.mesh.assets import Asset, decode_image, describe, read_asset, write_glb, write_glb_colors
+from flx.mesh.assets import Asset, read_asset, write_glb, write_glb_colors
+from flx.mesh.doctor import describe
 from flx.mesh.gltf import accessor, read_gltf
+from flx.mesh.images import decode_image
 
 # A tetrahedron whose second half has another material; v/vt differ, so that texture seams split vertices.
 OBJ = """mtllib m.mtl
@@ -229,16 +231,17 @@ def test_the_digest_follows_content_not_place(tmp_path):
     [
         (lambda t: "", "is empty"),
         (lambda t: "v 0 0 0\n", "no triangles"),
-        (lambda t: t.replace("f 1/1", "f 0/1"), "index 0"),
-        (lambda t: t.replace("f 1/1", "f 99/1"), "cannot be read|names vertex"),
+        (lambda t: t.replace("f 1/1", "f 0/1"), "line 11 names v 0, but OBJ counts from 1"),
+        (lambda t: t.replace("f 1/1", "f 99/1"), "line 11 names v 99, but there are 4"),
         (lambda t: t.replace("vt 0.9", "vt nan"), "not finite"),
-        (lambda t: t.replace("f 1/1", "f -4/1") + "v 1 1 1\n", "relative"),
+        (lambda t: t.replace("f 1/1", "f -5/1"), "names v -5"),
+        (lambda t: t.replace("vt 0.9", "vt o.9"), "'o.9' is no number"),
         (
             lambda t: t.replace("f 1/1 3/2 2/3", "f 1 3 2").replace("f 1/2 2/1 4/3", "f 1 2 4"),
             "no texture coordinates",
         ),
         (lambda t: t.replace("m.mtl", "../m.mtl"), "outside"),
-        (lambda t: t.replace("v 0 0 0", "v nan 0 0").replace("v 1 0 0", "v inf 0 0"), "no triangles"),
+        (lambda t: t.replace("v 0 0 0", "v nan 0 0").replace("v 1 0 0", "v inf 0 0"), "vertex 0.*not finite"),
     ],
 )
 def test_a_spoilt_obj_is_one_line_that_names_it(tmp_path, spoil, match):

@@ -5,28 +5,30 @@ new colours.
 `flx.mesh.glb` writes. Original rows are kept in `Asset.parts`: what is written is the file's own geometry,
 never the repaired one.
 
-Texture coordinates run right and down. Images are decoded at once, to 8-bit RGB; alpha is kept aside for
-the output. Factors that multiply a texture are ignored, and left as they are.
+Texture coordinates run right and down. Images become 8-bit RGB; alpha is kept aside for the output. Factors
+that multiply a texture are ignored, and left as they are.
 """
 
 import hashlib
 import io
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int, UInt8
+from jaxtyping import Float32, Float64, Int, UInt8
 from PIL import Image
 
 from flx.mesh import glb
+from flx.mesh.files import BadFile, read_file
 from flx.mesh.formats import READERS, Contents
-from flx.mesh.gltf import BadFile, Gltf, Paint, Part
+from flx.mesh.gltf import Gltf, Paint, Part
+from flx.mesh.images import check_together, decode_image
 from flx.mesh.repair import Repairs, repair, shape
 from flx.types import TexturedMesh
 
-MOST_PIXELS = 8192 * 8192
+FARTHEST = 1e30  # coordinates whose cubes are still numbers
+MOST_TILES = 100.0  # textures that the surface may cover, its repetitions counted
 
 
 class Texture(NamedTuple):
@@ -46,7 +48,7 @@ class Report(NamedTuple):
     materials: int
     vertices_read: int  # rows; of an OBJ, distinct combinations of v, vt and vn
     faces_read: int
-    nonfinite_faces: int
+    polygons: int  # faces of more than three corners, cut into fans
     welded_vertices: int
     degenerate_faces: int
     ear_faces: int
@@ -54,6 +56,7 @@ class Report(NamedTuple):
     unused_vertices: int
     nonmanifold_edges: int
     disagreeing_edges: int
+    nonmanifold_vertices: int
     split_vertices: int
     vertices: int
     faces: int
@@ -94,12 +97,17 @@ def read_asset(path: str | Path, texture: str | Path | None = None) -> Asset:
     """
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
-    if not path.exists():
-        raise FileNotFoundError(f"{path} does not exist; name a mesh file ({', '.join(READERS)})")
-    if reader is None or not path.is_file():
-        raise ValueError(f"{path} is not a mesh file; give one of {', '.join(READERS)}")
-    if path.stat().st_size == 0:
-        raise ValueError(f"{path} is empty; export it again")
+    try:
+        if not path.exists():
+            raise FileNotFoundError(f"{path} does not exist; name a mesh file ({', '.join(READERS)})")
+        if reader is None or not path.is_file():
+            raise ValueError(f"{path} is not a mesh file; give one of {', '.join(READERS)}")
+        if path.stat().st_size == 0:
+            raise ValueError(f"{path} is empty; export it again")
+    except OSError as fault:
+        if isinstance(fault, FileNotFoundError):
+            raise
+        raise ValueError(f"{str(path)[:80]} cannot be opened ({fault.strerror}); give a mesh file") from fault
     try:
         contents = _read_contents(path, reader)
         _check(contents)
@@ -109,6 +117,10 @@ def read_asset(path: str | Path, texture: str | Path | None = None) -> Asset:
         raise ValueError(
             f"{path}: {fault.filename} does not exist; put it there, or pass --texture"
         ) from fault
+    except OSError as fault:
+        raise ValueError(
+            f"{path}: {str(fault.filename)[:80]} cannot be read ({fault.strerror}); make it readable"
+        ) from fault
     except ValueError as fault:
         raise ValueError(f"{path}: {fault}") from fault
 
@@ -117,7 +129,7 @@ def _read_contents(path: Path, reader: Callable[[Path], Contents]) -> Contents:
     """Whatever a parser stumbles over, in one line."""
     try:
         return reader(path)
-    except (BadFile, FileNotFoundError):
+    except (BadFile, OSError):
         raise
     except Exception as fault:
         what = " ".join(f"{type(fault).__name__}: {fault}".split())[:200]
@@ -125,7 +137,7 @@ def _read_contents(path: Path, reader: Callable[[Path], Contents]) -> Contents:
 
 
 def _check(contents: Contents) -> None:
-    """Indices in range and finite texture coordinates, which nothing later looks at."""
+    """What nothing later looks at: indices in range, and numbers that one can reckon with."""
     if not sum(len(part.faces) for part in contents.parts):
         raise ValueError("no triangles; export the mesh with faces")
     for part in contents.parts:
@@ -134,9 +146,20 @@ def _check(contents: Contents) -> None:
             raise ValueError(
                 f"a face of {part.name!r} names vertex {worst} of {len(part.positions)}; export it again"
             )
-        if part.uvs is not None and not np.isfinite(part.uvs).all():
-            row = int(np.flatnonzero(~np.isfinite(part.uvs).all(1))[0])
-            raise ValueError(f"texture coordinate {row} of {part.name!r} is not finite; unwrap it again")
+        used = np.zeros(len(part.positions), bool)
+        used[part.faces] = True
+        for values, most, what in (
+            (part.positions, FARTHEST, "vertex"),
+            (part.uvs, FARTHEST, "the texture coordinate of vertex"),
+            (part.colors, FARTHEST, "the colour of vertex"),
+        ):
+            if values is None:
+                continue
+            wrong = used & ~(np.abs(values) < most).all(1)
+            if wrong.any():
+                row = int(wrong.argmax())
+                told = f"{what} {row} of {part.name!r} is {values[row].tolist()}: not finite, or too far"
+                raise ValueError(f"{told}; export it again")
 
 
 def _choose_textures(
@@ -159,8 +182,9 @@ def _choose_textures(
             raise ValueError(f"{part.name!r} has a texture but no texture coordinates; unwrap it first")
 
     images, textures = [], []
-    for name in names:
-        content = contents.load_image(name) if override is None else override.read_bytes()
+    encoded = {name: contents.load_image(name) if override is None else read_file(override) for name in names}
+    check_together(encoded)
+    for name, content in encoded.items():
         rgb, alpha = decode_image(content, name)
         images.append(rgb)
         textures.append(Texture(name, alpha, flat=False))
@@ -172,39 +196,6 @@ def _choose_textures(
             images.append(np.tile(color, (4, 4, 1)))
             textures.append(Texture(contents.materials[material].name, None, flat=True))
     return images, textures, texture_of
-
-
-def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[Any, "H W"] | None]:
-    """8-bit RGB, and alpha where it says anything. 16-bit grey is scaled, never clipped.
-
-    Raises ValueError for more than `MOST_PIXELS`, and for what Pillow cannot decode.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(io.BytesIO(content))
-    except Image.DecompressionBombError as fault:
-        raise ValueError(f"image {name!r} has too many pixels; reduce it to 8192 × 8192") from fault
-    except OSError as fault:
-        raise ValueError(f"image {name!r} is of no known kind; save it as PNG or JPEG") from fault
-    if image.width * image.height > MOST_PIXELS:
-        raise ValueError(
-            f"image {name!r} has {image.width} × {image.height} pixels; reduce it to 8192 × 8192"
-        )
-    try:
-        image.load()
-    except (OSError, SyntaxError, ValueError) as fault:
-        raise ValueError(f"image {name!r} is broken ({fault}); save it again") from fault
-    if image.mode.startswith("I"):
-        image = Image.fromarray(np.rint(np.asarray(image) / 257).clip(0, 255).astype(np.uint8))
-    elif image.mode == "F":
-        raise ValueError(f"image {name!r} holds floating point numbers; save it as 8-bit PNG")
-    alpha = None
-    if image.has_transparency_data:
-        image = image.convert("RGBA")
-        alpha = np.asarray(image)[..., 3].copy()
-        alpha = None if (alpha == 255).all() else alpha
-    return np.asarray(image.convert("RGB")).copy(), alpha
 
 
 def _assemble(
@@ -240,6 +231,7 @@ def _assemble(
         textures=tuple(images),
         corner_colors=np.zeros((len(corners), 3, 3), np.float32) if images else colors[corners],
     )
+    _check_measures(mesh)
     paints = [Paint(m.name, texture_of.get(i, -1), m.color) for i, m in enumerate(contents.materials)]
     return Asset(
         path=path,
@@ -252,6 +244,24 @@ def _assemble(
         container=contents.container,
         digest=_digest(mesh),
     )
+
+
+def _check_measures(mesh: TexturedMesh) -> None:
+    """The surface has an area, and shows each texel so often at most that it can be painted."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    if not np.linalg.norm(np.cross(b - a, c - a), axis=1).max() > 0:
+        raise ValueError("every face has zero area; export it again, or scale it up")
+    tiles = np.abs(uv_areas(mesh)).sum()
+    if tiles > MOST_TILES:
+        raise ValueError(
+            f"the surface covers its textures {tiles:.0f} times, more than {MOST_TILES:.0f}; unwrap it anew"
+        )
+
+
+def uv_areas(mesh: TexturedMesh) -> Float64[Any, "F"]:
+    """The area of each face on its texture, negative where the texture is seen from behind; v runs down."""
+    u, v = np.moveaxis(mesh.corner_uvs, -1, 0)
+    return ((u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]) - (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0])) / 2
 
 
 def _digest(mesh: TexturedMesh) -> str:
@@ -270,8 +280,6 @@ def _report(
     textures: list[Texture],
     repairs: Repairs,
 ) -> Report:
-    u, v = np.moveaxis(mesh.corner_uvs, -1, 0)
-    area = (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0])
     outside = ((mesh.corner_uvs < 0) | (mesh.corner_uvs > 1)).any((1, 2))
     painted = ~np.array([t.flat for t in textures] or [True])[mesh.face_textures]
     sizes = [f"{t.name}: {i.shape[1]} × {i.shape[0]}" for t, i in zip(textures, mesh.textures, strict=True)]
@@ -282,49 +290,17 @@ def _report(
         materials=len({part.material for part in parts}),
         vertices_read=sum(len(part.positions) for part in parts),
         faces_read=sum(len(part.faces) for part in parts),
+        polygons=contents.polygons,
         **repairs._asdict(),
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
         **shape(mesh.vertices, mesh.faces)._asdict(),
-        flat_uv_faces=int((painted & (np.abs(area) <= 1e-14)).sum()),
+        flat_uv_faces=int((painted & (np.abs(uv_areas(mesh)) <= 1e-14)).sum()),
         outside_uv_faces=int((painted & outside).sum()),
         color_source="texture" if textures else "vertex colours",
         textures=tuple(f"{s} (flat)" if t.flat else s for s, t in zip(sizes, textures, strict=True)),
         missing_images=contents.missing_images,
     )
-
-
-LINES = (
-    ("faces dropped: corner not finite", "nonfinite_faces"),
-    ("vertices welded by position", "welded_vertices"),
-    ("faces dropped: a corner twice", "degenerate_faces"),
-    ("faces dropped: doubled ears", "ear_faces"),
-    ("faces dropped: duplicates", "duplicate_faces"),
-    ("vertices dropped: no face", "unused_vertices"),
-    ("edges cut: more than two faces", "nonmanifold_edges"),
-    ("edges cut: orientations disagree", "disagreeing_edges"),
-    ("vertices added by cuts", "split_vertices"),
-    ("sliver faces, kept", "sliver_faces"),
-    ("faces without area on the texture", "flat_uv_faces"),
-    ("faces that leave [0, 1], repeated", "outside_uv_faces"),
-)
-
-
-def describe(report: Report) -> str:
-    """The report as lines of text; repairs that were not needed are left out."""
-    lines = [
-        ("file", f"{report.path} ({report.format}), {report.parts} parts, {report.materials} materials"),
-        ("read", f"{report.vertices_read:,} vertices, {report.faces_read:,} faces"),
-        *((label, f"{getattr(report, key):,}") for label, key in LINES if getattr(report, key)),
-        ("mesh", f"{report.vertices:,} vertices, {report.faces:,} faces, {report.components} components"),
-        ("boundary", f"{report.boundary_edges:,} edges in {report.boundary_loops} loops"),
-        ("Euler characteristic", str(report.euler)),
-        ("colour", report.color_source),
-        *(("texture", name) for name in report.textures),
-        *(("missing image, not needed", name) for name in report.missing_images),
-    ]
-    width = max(len(label) for label, _ in lines)
-    return "\n".join(f"{label:<{width}}  {value}" for label, value in lines)
 
 
 # ---------------------------------------------------------------------------------------------- writing

@@ -21,7 +21,9 @@ from urllib.parse import unquote_to_bytes
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Num
 
-COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
+from flx.mesh.files import BadFile, check_faces, inside, read_file
+from flx.mesh.schema import check_document
+
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MIME_TYPES = {
@@ -31,10 +33,8 @@ MIME_TYPES = {
     b"\xabKT": "image/ktx2",
 }
 TRIANGLES, STRIP, FAN = 4, 5, 6
-
-
-class BadFile(ValueError):
-    """A fault of the file that is known by name: its message says what to do about it."""
+MOST_VALUES = 1 << 22  # of the JSON: an empty list of three bytes becomes a hundred
+MOST_PARTS = 1 << 14
 
 
 class Gltf(NamedTuple):
@@ -55,6 +55,14 @@ class Part(NamedTuple):
     colors: Float32[Any, "V 3"] | None  # sRGB
     faces: Int[Any, "F 3"]
     origin: tuple[int, int] = (-1, -1)  # glTF: node, primitive
+
+
+class Material(NamedTuple):
+    """A material as a file states it; `image` is what the file calls its base colour image."""
+
+    name: str
+    color: tuple[float, float, float]  # sRGB
+    image: str | None
 
 
 class Paint(NamedTuple):
@@ -80,64 +88,80 @@ def linear(color: Num[Any, "..."]) -> Float64[Any, "..."]:
 # ---------------------------------------------------------------------------------------------- reading
 
 
-def inside(folder: Path, name: str) -> Path:
-    """A file that another file names, which must lie in the same folder or below it.
-
-    Raises BadFile where the name leads out of the folder: a mesh must not read its user's other files.
-    """
-    path = (folder / name.replace("\\", "/")).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise BadFile(f"{name!r} lies outside {folder}; copy it there, or pass --texture")
-    return path
-
-
 def read_gltf(path: Path) -> Gltf:
     """GLB or glTF, told apart by their first bytes. Images that cannot be found keep their `uri`.
 
-    Raises BadFile for compressed geometry and for a broken or missing buffer.
+    Raises BadFile for compressed geometry, a broken or missing buffer, and whatever `check_document` finds.
     """
-    data = path.read_bytes()
-    document, chunk = _chunks(data) if data[:4] == b"glTF" else (json.loads(data.decode("utf-8-sig")), b"")
-    if compressed := COMPRESSION & set(document.get("extensionsUsed", [])):
-        raise BadFile(f"its geometry is compressed ({min(compressed)}); save it without compression")
-    buffers = [_resource(b["uri"], path.parent) if "uri" in b else chunk for b in document.get("buffers", [])]
-    views = []
-    for view in document.get("bufferViews", []):
-        start = view.get("byteOffset", 0)
-        views.append(buffers[view["buffer"]][start : start + view["byteLength"]])
-        if len(views[-1]) < view["byteLength"]:
-            raise BadFile(f"buffer view {len(views) - 1} ends past its buffer; export the file again")
+    data = read_file(path)
+    text, chunk = _chunks(data) if data[:4] == b"glTF" else (data, b"")
+    if (values := sum(text.count(mark) for mark in (b",", b"[", b"{"))) > MOST_VALUES:
+        raise BadFile(f"its JSON has {values:,} values, more than {MOST_VALUES:,}; export it without extras")
+    try:
+        document = json.loads(text.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as fault:
+        raise BadFile(f"its JSON is broken ({str(fault)[:80]}); export it again") from fault
+    check_document(document)
+    try:
+        buffers = [_buffer(i, b, chunk, path.parent) for i, b in enumerate(document.get("buffers", []))]
+        views = [_view(i, v, buffers) for i, v in enumerate(document.get("bufferViews", []))]
+    except KeyError as fault:
+        raise BadFile(f"a buffer or buffer view has no {fault}; export it again") from fault
     for image in document.get("images", []):
-        try:
-            content = _resource(image["uri"], path.parent) if "uri" in image else None
-        except OSError:
+        if "uri" not in image:
             continue
-        if content is not None:
-            image["mimeType"] = MIME_TYPES.get(content[:3], image.get("mimeType", "image/png"))
-            image["bufferView"] = append_view(document, views, content)
-            del image["uri"]
+        try:
+            content = _resource(image["uri"], path.parent)
+        except FileNotFoundError:
+            continue
+        image["mimeType"] = MIME_TYPES.get(content[:3], image.get("mimeType", "image/png"))
+        image["bufferView"] = append_view(document, views, content)
+        del image["uri"]
     return Gltf(document, tuple(views))
 
 
-def _chunks(data: bytes) -> tuple[dict, bytes]:
+def _chunks(data: bytes) -> tuple[bytes, bytes]:
     """The JSON and the binary chunk of a GLB."""
-    version, total = struct.unpack_from("<II", data, 4)
-    if version != 2 or total > len(data):
+    version, total = struct.unpack_from("<II", data, 4) if len(data) >= 12 else (0, 12)
+    if version != 2 or not 12 <= total <= len(data):
         raise BadFile(f"GLB version {version}, {len(data)} of {total} bytes; export it again as glTF 2.0")
     chunks, at = {}, 12
     while at + 8 <= total:
         length, kind = struct.unpack_from("<I4s", data, at)
+        if at + 8 + length > total:
+            raise BadFile(f"a chunk of {length:,} bytes ends past the file; export it again")
         chunks.setdefault(kind, data[at + 8 : at + 8 + length])
         at += 8 + length
-    return json.loads(chunks[b"JSON"]), chunks.get(b"BIN\0", b"")
+    if b"JSON" not in chunks:
+        raise BadFile("a GLB without a JSON chunk; export it again")
+    return chunks[b"JSON"], chunks.get(b"BIN\0", b"")
+
+
+def _buffer(index: int, buffer: dict, chunk: bytes, folder: Path) -> bytes:
+    content = _resource(buffer["uri"], folder) if "uri" in buffer else chunk
+    if len(content) < buffer["byteLength"]:
+        raise BadFile(
+            f"buffer {index} has {len(content):,} bytes of {buffer['byteLength']:,}; export it again"
+        )
+    return content
+
+
+def _view(index: int, view: dict, buffers: list[bytes]) -> bytes:
+    start, length = view.get("byteOffset", 0), view["byteLength"]
+    if start + length > len(buffers[view["buffer"]]):
+        raise BadFile(f"buffer view {index} ends past its buffer; export it again")
+    return buffers[view["buffer"]][start : start + length]
 
 
 def _resource(uri: str, folder: Path) -> bytes:
     """The bytes behind a URI: `data:`, or a file in the folder of the asset. Never the network."""
-    if uri.startswith("data:"):
-        head, _, body = uri.partition(",")
-        return base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
-    return inside(folder, unquote_to_bytes(uri).decode()).read_bytes()
+    if not uri.startswith("data:"):
+        return read_file(inside(folder, unquote_to_bytes(uri).decode(errors="replace")))
+    head, _, body = uri.partition(",")
+    try:
+        return base64.b64decode(body, validate=True) if head.endswith(";base64") else unquote_to_bytes(body)
+    except ValueError as fault:
+        raise BadFile(f"the data URI {uri[:40]!r} is broken ({fault}); export it again") from fault
 
 
 def append(document: dict, key: str, entry: dict) -> int:
@@ -153,31 +177,43 @@ def append_view(document: dict, views: list[bytes], content: bytes) -> int:
 
 
 def accessor(gltf: Gltf, index: int) -> Num[Any, "N C"]:
-    """The rows of an accessor in their own dtype, sparse ones filled in; normalised integers as float32."""
+    """The rows of an accessor in their own dtype, sparse ones filled in; normalised integers as float32.
+
+    Raises BadFile where it has no data, or more rows than bytes are there for.
+    """
     entry = gltf.document["accessors"][index]
+    if not {"type", "count", "componentType"} <= entry.keys() or entry["type"] not in WIDTHS:
+        raise BadFile(f"accessor {index} holds {entry.get('type')!r} rows; export it again")
     width, count, sparse = WIDTHS[entry["type"]], entry["count"], entry.get("sparse")
     if "bufferView" in entry:
         rows = _rows(gltf, entry, entry["componentType"], width, count)
-    elif sparse:
+    elif sparse and count <= sum(map(len, gltf.views)):
         rows = np.zeros((count, width), COMPONENTS[entry["componentType"]])
     else:
         raise BadFile(f"accessor {index} has no data; save the file without compression")
     if sparse:
-        where = _rows(gltf, sparse["indices"], sparse["indices"]["componentType"], 1, sparse["count"])
+        if not {"count", "indices", "values"} <= sparse.keys():
+            raise BadFile(f"accessor {index} is sparse without data; export it again")
+        where = _rows(
+            gltf, sparse["indices"], sparse["indices"].get("componentType", 5125), 1, sparse["count"]
+        )
+        if where.max() >= count:
+            raise BadFile(f"accessor {index} fills row {where.max()} of {count}; export it again")
         rows[where[:, 0]] = _rows(gltf, sparse["values"], entry["componentType"], width, sparse["count"])
-    if entry.get("normalized"):
+    if entry.get("normalized") is True and rows.dtype.kind in "iu":
         rows = np.maximum(rows / np.float32(np.iinfo(rows.dtype).max), -1).astype(np.float32)
     return rows
 
 
 def _rows(gltf: Gltf, entry: dict, component: int, width: int, count: int) -> Num[Any, "N C"]:
-    dtype, view = np.dtype(COMPONENTS[component]), entry["bufferView"]
-    stride = gltf.document["bufferViews"][view].get("byteStride", dtype.itemsize * width)
-    if count < 1 or (count - 1) * stride + dtype.itemsize * width > len(gltf.views[view]):
+    dtype, view, start = np.dtype(COMPONENTS[component]), entry.get("bufferView"), entry.get("byteOffset", 0)
+    if view is None:
+        raise BadFile("sparse rows have no buffer view; export the file again")
+    size = dtype.itemsize * width
+    stride = gltf.document["bufferViews"][view].get("byteStride", size)
+    if count < 1 or stride < size or start + (count - 1) * stride + size > len(gltf.views[view]):
         raise BadFile(f"{count} rows do not fit into buffer view {view}; export the file again")
-    return np.ndarray(
-        (count, width), dtype, gltf.views[view], entry.get("byteOffset", 0), (stride, dtype.itemsize)
-    ).copy()
+    return np.ndarray((count, width), dtype, gltf.views[view], start, (stride, dtype.itemsize)).copy()
 
 
 def scene_nodes(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"]]]:
@@ -189,7 +225,7 @@ def scene_nodes(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"]]]:
     while stack:
         index, parent = stack.pop()
         if index in seen:
-            continue
+            raise BadFile(f"the scene shows node {index} twice; export it again")
         seen.add(index)
         world = parent @ _local_transform(nodes[index])
         yield index, world
@@ -218,44 +254,73 @@ def parts(gltf: Gltf) -> list[Part]:
     mirrors turns the faces round, so that they stay counter-clockwise. Skins and morph targets rest.
     """
     document, found = gltf.document, []
-    materials = document.get("materials", [])
-    for node, world in scene_nodes(document):
-        if "mesh" not in document["nodes"][node]:
-            continue
-        mesh = document["meshes"][document["nodes"][node]["mesh"]]
-        for number, primitive in enumerate(mesh["primitives"]):
-            faces = _faces(gltf, primitive)
-            if faces is None:
-                continue
-            attributes = primitive["attributes"]
-            points = accessor(gltf, attributes["POSITION"]).astype(np.float64)
+    materials, read = document.get("materials", []), 0
+    for node, world, number, primitive in _triangles(document):
+        if len(found) == MOST_PARTS:
+            raise BadFile(f"more than {MOST_PARTS:,} parts; join some")
+        mesh = document["nodes"][node]["mesh"]
+        attributes = primitive["attributes"]
+        points = _attribute(gltf, attributes, "POSITION", (3,)).astype(np.float64)
+        faces = _faces(gltf, primitive, len(points))
+        material = primitive.get("material", len(materials))
+        slot = base_slot(materials[material]) if "material" in primitive else {}
+        with np.errstate(all="ignore"):  # what is not finite is refused by name, later
+            points = points @ world[:3, :3].T + world[:3, 3]
             mirrored = np.linalg.det(world[:3, :3]) < 0
-            material = primitive.get("material", len(materials))
-            found.append(
-                Part(
-                    name=mesh.get("name", f"mesh {document['nodes'][node]['mesh']}"),
-                    material=material,
-                    positions=points @ world[:3, :3].T + world[:3, 3],
-                    normals=None,
-                    uvs=_uvs(
-                        gltf, attributes, base_slot(materials[material]) if "material" in primitive else {}
-                    ),
-                    colors=_colors(gltf, attributes),
-                    faces=faces[:, ::-1].copy() if mirrored else faces,
-                    origin=(node, number),
+        part = Part(
+            name=document["meshes"][mesh].get("name", f"mesh {mesh}"),
+            material=material,
+            positions=points,
+            normals=None,
+            uvs=_uvs(gltf, attributes, slot),
+            colors=_colors(gltf, attributes),
+            faces=faces[:, ::-1].copy() if mirrored else faces,
+            origin=(node, number),
+        )
+        for rows, what in ((part.uvs, "texture coordinates"), (part.colors, "colours")):
+            if rows is not None and len(rows) != len(points):
+                raise BadFile(
+                    f"{part.name!r} has {len(rows)} {what} for {len(points)} vertices; export it again"
                 )
-            )
+        found.append(part)
+        read += max(len(faces), len(points) // 3)
+        check_faces(read)  # a small file can show one mesh very often
     return found
 
 
-def _faces(gltf: Gltf, primitive: dict) -> Int[Any, "F 3"] | None:
+def _triangles(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"], int, dict]]:
+    """Node, its transform, number and entry of every primitive of triangles that the scene shows."""
+    for node, world in scene_nodes(document):
+        if "mesh" not in document["nodes"][node]:
+            continue
+        for number, primitive in enumerate(
+            document["meshes"][document["nodes"][node]["mesh"]].get("primitives", [])
+        ):
+            if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
+                continue
+            if "POSITION" not in primitive.get("attributes", {}):
+                raise BadFile(f"primitive {number} of node {node} has no POSITION; export it again")
+            yield node, world, number, primitive
+
+
+def _attribute(gltf: Gltf, attributes: dict, name: str, widths: tuple[int, ...]) -> Num[Any, "N C"]:
+    rows = accessor(gltf, attributes[name])
+    if rows.shape[1] not in widths:
+        raise BadFile(f"{name} has {rows.shape[1]} numbers a vertex, not {widths[0]}; export it again")
+    return rows
+
+
+def _faces(gltf: Gltf, primitive: dict, points: int) -> Int[Any, "F 3"]:
     mode = primitive.get("mode", TRIANGLES)
-    if mode not in (TRIANGLES, STRIP, FAN):
-        return None
     if "indices" in primitive:
-        order = accessor(gltf, primitive["indices"])[:, 0].astype(np.int64)
+        rows = _attribute(gltf, primitive, "indices", (1,))
+        if rows.dtype.kind != "u":
+            raise BadFile(f"indices are {rows.dtype}, not whole numbers; export it again")
+        order = rows[:, 0].astype(np.int64)
     else:
-        order = np.arange(gltf.document["accessors"][primitive["attributes"]["POSITION"]]["count"])
+        order = np.arange(points)
+    if len(order) < 3 or (mode == TRIANGLES and len(order) % 3):
+        raise BadFile(f"{len(order)} indices make no triangles; export it again")
     if mode == TRIANGLES:
         return order.reshape(-1, 3)
     if mode == FAN:
@@ -271,7 +336,7 @@ def _uvs(gltf: Gltf, attributes: dict, slot: dict) -> Float64[Any, "V 2"] | None
     name = f"TEXCOORD_{transform.get('texCoord', slot.get('texCoord', 0))}"
     if name not in attributes:
         return None
-    u, v = (accessor(gltf, attributes[name]).astype(np.float64) * transform.get("scale", [1, 1])).T
+    u, v = (_attribute(gltf, attributes, name, (2,)).astype(np.float64) * transform.get("scale", [1, 1])).T
     c, s = np.cos(transform.get("rotation", 0)), np.sin(transform.get("rotation", 0))
     return np.stack([c * u + s * v, c * v - s * u], 1) + transform.get("offset", [0, 0])
 
@@ -279,7 +344,7 @@ def _uvs(gltf: Gltf, attributes: dict, slot: dict) -> Float64[Any, "V 2"] | None
 def _colors(gltf: Gltf, attributes: dict) -> Float32[Any, "V 3"] | None:
     if "COLOR_0" not in attributes:
         return None
-    return srgb(accessor(gltf, attributes["COLOR_0"])[:, :3]).astype(np.float32)
+    return srgb(_attribute(gltf, attributes, "COLOR_0", (3, 4))[:, :3]).astype(np.float32)
 
 
 def base_slot(material: dict) -> dict:

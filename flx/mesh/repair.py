@@ -1,6 +1,6 @@
 """From the triangles of a file to a manifold, oriented mesh; every change is counted.
 
-In this order: faces with non-finite corners dropped; vertices welded by position; faces with a repeated
+In this order: vertices welded by position; faces with a repeated
 corner dropped; doubled ears dropped; faces with the corners of an earlier one dropped; vertices split until
 every edge joins at most two faces of agreeing orientation and every vertex has one fan. Slivers of no area
 are kept and counted: dropping one would open the surface. No face is turned round: neighbours that disagree
@@ -22,7 +22,6 @@ WELD_TOLERANCE = 1e-9  # of the diagonal: round-off of a float64 transform, far 
 class Repairs(NamedTuple):
     """What was done, in the order it was done."""
 
-    nonfinite_faces: int  # dropped
     welded_vertices: int  # merged into another one at the same place
     degenerate_faces: int  # dropped: a corner twice
     ear_faces: int  # dropped: two with the same corners, hanging from a surface that is whole without them
@@ -30,7 +29,8 @@ class Repairs(NamedTuple):
     unused_vertices: int  # dropped: no face
     nonmanifold_edges: int  # cut: three faces or more
     disagreeing_edges: int  # cut: two faces that run along it in the same direction
-    split_vertices: int  # added by the cuts, and at vertices where separate fans met
+    nonmanifold_vertices: int  # cut: separate fans met there, or do since an edge was cut
+    split_vertices: int  # added by all cuts
 
 
 class Shape(NamedTuple):
@@ -66,16 +66,13 @@ def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
 def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
     """A manifold, oriented mesh of the same triangles (see the module), in the order of the input.
 
-    Raises ValueError where no triangle is left.
+    Points of faces are finite. Raises ValueError where no triangle is left.
     """
-    finite = np.isfinite(points).all(1)
-    sources = np.flatnonzero(finite[faces].all(1))
-    nonfinite = len(faces) - len(sources)
+    sources = np.arange(len(faces))
     representative = np.arange(len(points))
-    kept = np.flatnonzero(finite)
-    if len(kept):
-        representative[kept] = kept[weld(points[kept])]
-    corners = representative[faces[sources]]
+    kept = np.flatnonzero(np.isfinite(points).all(1))
+    representative[kept] = kept[weld(points[kept])]
+    corners = representative[faces]
 
     proper = (corners != np.roll(corners, 1, axis=1)).all(1)
     degenerate = int((~proper).sum())
@@ -87,9 +84,7 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
     first.sort()
     corners, sources = corners[first], sources[first]
     if len(corners) == 0:
-        raise ValueError(
-            f"no triangles: of {len(faces)}, {nonfinite} non-finite, {degenerate} degenerate; export it again"
-        )
+        raise ValueError(f"no triangles: of {len(faces)}, {degenerate} have a corner twice; export it again")
 
     used, compact = np.unique(corners, return_inverse=True)
     compact = compact.reshape(corners.shape)
@@ -99,7 +94,6 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     repairs = Repairs(
-        nonfinite_faces=nonfinite,
         welded_vertices=int((representative[kept] != kept).sum()),
         degenerate_faces=degenerate,
         ear_faces=int(ears.sum()),
@@ -107,6 +101,7 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
         unused_vertices=len(np.unique(representative)) - len(used),
         nonmanifold_edges=several,
         disagreeing_edges=disagreeing,
+        nonmanifold_vertices=int((np.bincount(place) > 1).sum()),
         split_vertices=len(place) - len(used),
     )
     return Repaired(points[used[place[order]]], rank[split], sources, repairs)

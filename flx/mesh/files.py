@@ -1,0 +1,92 @@
+"""Where `flx.mesh` opens files: regular ones of bounded size, and those that a mesh names in its folder only.
+
+A mesh file is a stranger's. It must not read its user's other files, reach the network, block on a pipe or
+take more memory than its own size explains. The limits are generous; each can be raised by an environment
+variable, which the error names.
+"""
+
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Num
+
+LIMITS = {
+    "FLX_MAX_BYTES": 1 << 29,  # of one file
+    "FLX_MAX_PIXELS": 8192 * 8192,  # of one image; four times as many in all
+    "FLX_MAX_FACES": 1 << 22,  # of a mesh, its instances counted
+}
+
+
+class BadFile(ValueError):
+    """A fault of the file that is known by name: its message says what to do about it."""
+
+
+def limit(name: str) -> int:
+    """The limit of that name: the environment's, or the one above.
+
+    Raises ValueError where the environment's is no whole number.
+    """
+    value = os.environ.get(name, "")
+    if value and not value.isdecimal():
+        raise ValueError(f"{name} is {value!r}; set it to a whole number, or unset it")
+    return int(value) if value else LIMITS[name]
+
+
+def inside(folder: Path, name: str) -> Path:
+    """A file that another file names, which must lie in the same folder or below it, links followed.
+
+    Raises BadFile for a URL and for a name that leads out of the folder.
+    """
+    if "://" in name:
+        raise BadFile(f"{name[:80]!r} is a URL, and nothing is fetched; put the file beside the mesh")
+    try:
+        path = (folder / name.replace("\\", "/")).resolve()
+    except (RuntimeError, ValueError) as fault:  # a link to itself, a NUL
+        raise BadFile(f"{name[:80]!r} leads nowhere ({fault}); put the file beside the mesh") from fault
+    if not path.is_relative_to(folder.resolve()):
+        raise BadFile(f"{name!r} lies outside {folder}; copy it there, or pass --texture")
+    return path
+
+
+def read_file(path: Path) -> bytes:
+    """All bytes of a regular file.
+
+    Raises FileNotFoundError, or BadFile for a folder, a pipe, a device, and more than `FLX_MAX_BYTES`.
+    """
+    size = path.stat().st_size
+    if not path.is_file():
+        raise BadFile(f"{path} is not a file; name one, or copy it there")
+    if size > (most := limit("FLX_MAX_BYTES")):
+        raise BadFile(
+            f"{path} has {size:,} bytes, more than {most:,}; reduce it, or set FLX_MAX_BYTES={size}"
+        )
+    with open(path, "rb") as file:
+        return file.read(size)
+
+
+def check_faces(count: int) -> None:
+    """Raises BadFile for more faces than `FLX_MAX_FACES`, before anything of their size is made."""
+    if count > (most := limit("FLX_MAX_FACES")):
+        raise BadFile(f"{count:,} faces, more than {most:,}; decimate it, or set FLX_MAX_FACES={count}")
+
+
+def numbers(text: str, dtype: type = np.float64) -> Num[Any, "N"]:
+    """The numbers of a text, separated by white space. Raises BadFile where something else stands there."""
+    words = text.split()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)  # older NumPy warns, and leaves the rest out
+        try:
+            values = np.fromstring(text, dtype, sep=" ")
+            if len(values) == len(words):  # "- 1" is one number to NumPy
+                return values
+        except (ValueError, DeprecationWarning):
+            pass
+    for word in words:
+        try:
+            dtype(word)
+        except (ValueError, OverflowError):
+            raise BadFile(f"{word[:40]!r} is no number here; export it again") from None
+    raise BadFile("a number is broken; export it again")

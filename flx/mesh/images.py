@@ -1,0 +1,83 @@
+"""Encoded images → pixels: 8-bit RGB, and alpha beside it.
+
+Decoded at once, never lazily, and not before the number of pixels in the header is known to be bearable.
+Formats are named one by one: Pillow knows some (EPS) that start other programs.
+"""
+
+import io
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from flx.mesh.files import BadFile, limit
+
+FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
+REFUSED = {
+    b"\xabKTX": "KTX2",
+    b"DDS ": "DDS",
+    b"sB": "Basis",
+    b"#?RADIANCE": "HDR",
+    b"\x76\x2f\x31\x01": "EXR",
+}
+
+
+def open_image(content: bytes, name: str) -> Image.Image:
+    """The image behind its header, not yet decoded.
+
+    Raises BadFile for a format that is not read here, and for more than `FLX_MAX_PIXELS`.
+    """
+    for magic, kind in REFUSED.items():
+        if content.startswith(magic):
+            raise BadFile(f"image {name!r} is {kind}; save it as PNG or JPEG")
+    Image.MAX_IMAGE_PIXELS = most = limit("FLX_MAX_PIXELS")  # Pillow's own error comes at twice as many
+    remedy = "reduce it to 8192 × 8192, or set FLX_MAX_PIXELS"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image = Image.open(io.BytesIO(content), formats=FORMATS)
+    except Image.DecompressionBombError as fault:
+        raise BadFile(f"image {name!r} has more than {2 * most:,} pixels; {remedy}") from fault
+    except (OSError, SyntaxError, ValueError, OverflowError) as fault:
+        raise BadFile(f"image {name!r} is of no known kind; save it as PNG or JPEG") from fault
+    if image.width * image.height > most:
+        raise BadFile(
+            f"image {name!r} has {image.width} × {image.height} pixels, more than {most:,}; {remedy}"
+        )
+    return image
+
+
+def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[Any, "H W"] | None]:
+    """8-bit RGB, and alpha where it says anything. 16-bit grey is scaled, never clipped.
+
+    Raises BadFile as `open_image` does, and for what Pillow cannot decode.
+    """
+    image = open_image(content, name)
+    try:
+        image.load()
+    except Exception as fault:  # a decoder may raise anything
+        told = " ".join(str(fault).split())[:80]
+        raise BadFile(f"image {name!r} is broken ({told}); save it again") from fault
+    if image.mode.startswith("I"):
+        image = Image.fromarray(np.rint(np.asarray(image) / 257).clip(0, 255).astype(np.uint8))
+    elif image.mode == "F":
+        raise BadFile(f"image {name!r} holds floating point numbers; save it as 8-bit PNG")
+    alpha = None
+    if image.has_transparency_data:
+        image = image.convert("RGBA")
+        alpha = np.asarray(image)[..., 3].copy()
+        alpha = None if (alpha == 255).all() else alpha
+    return np.array(image.convert("RGB")), alpha
+
+
+def check_together(contents: Mapping[str, bytes]) -> None:
+    """Raises BadFile where images of one mesh have more than four times `FLX_MAX_PIXELS`."""
+    pixels = sum(image.width * image.height for image in (open_image(c, n) for n, c in contents.items()))
+    if pixels > (most := 4 * limit("FLX_MAX_PIXELS")):
+        raise BadFile(
+            f"{len(contents)} images have {pixels:,} pixels, more than {most:,}; reduce them, "
+            f"or set FLX_MAX_PIXELS={-(-pixels // 4)}"
+        )
