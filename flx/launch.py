@@ -4,6 +4,7 @@
   flx train CONFIG.py      prepare (cached) and train; the same command resumes
   flx sample RUN           new textures from a run
   flx reconstruct MESH     a texture through the FL-VAE and back, with its metrics
+  flx evaluate             a table: how well each method keeps the textures of some meshes
   flx bench                timings of this machine
 
 Exit status: 0 done, 1 failed on the way, 2 wrong input. Errors are one line; `--verbose` adds the traceback.
@@ -125,6 +126,42 @@ def reconstruct(
     print(_json(there_and_back(mesh, vertices, texture, texture_size, weights, seed, up, out)))
 
 
+def evaluate(
+    reconstruction: tuple[str, ...],
+    out: Path,
+    vertices: tuple[int, ...] = (30_000, 5_000),
+    methods: tuple[Literal["flvae", "inf", "vertex_colours", "pca", "frame_pca"], ...] = (
+        "flvae",
+        "inf",
+        "vertex_colours",
+        "pca",
+        "frame_pca",
+    ),
+    images: Path | None = None,
+    weights: str | None = None,
+    texture_size: int | None = None,
+    seed: int = 0,
+) -> None:
+    """Measure methods side by side: table.json and table.md. Rows that are there already are kept.
+
+    Example: flx evaluate --reconstruction bowl.glb can.glb --vertices 30000 5000 --images photos --out table
+
+    Args:
+        reconstruction: Meshes whose textures are sent there and back: MESH, or MESH:TEXTURE.
+        out: Folder to write to.
+        vertices: Of the triangulations; one row each.
+        methods: Which methods to measure.
+        images: Folder of images that pca and frame_pca are fitted to; they are left out without it.
+        weights: An FL-VAE file; the released one unless given.
+        texture_size: Pixels on the atlas' longer side; the input's, at most 2048, unless given.
+        seed: Of the triangulations.
+    """
+    from flx.pipeline.table import markdown, reconstruction_table
+
+    rows = reconstruction_table(reconstruction, vertices, methods, images, weights, texture_size, seed, out)
+    print(markdown(rows), end="")
+
+
 def bench() -> None:
     """Time this machine and print one JSON object.
 
@@ -177,6 +214,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "train": train,
     "sample": sample,
     "reconstruct": reconstruct,
+    "evaluate": evaluate,
     "bench": bench,
 }
 

@@ -14,22 +14,22 @@ def pictures() -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_same_picture_is_without_error():
     picture, covered = pictures()
-    error, dissimilarity = compare(picture, picture, covered)
-    assert error == 0 and abs(dissimilarity) < 1e-6
+    distances = compare(picture, picture, covered)
+    assert distances["squared_error"] == 0 and abs(distances["dssim"]) < 1e-6
 
 
 def test_what_is_not_covered_does_not_count():
     picture, covered = pictures()
     other = np.where(covered[..., None], np.clip(picture.astype(int) + 20, 0, 255), picture).astype(np.uint8)
-    error, dissimilarity = compare(picture, other, covered)
-    assert error > 0 and dissimilarity > 0
+    distances = compare(picture, other, covered)
+    assert all(distance > 0 for distance in distances.values())
     noisy = np.where(covered[..., None], other, 255 - other).astype(np.uint8)
-    assert compare(picture, noisy, covered) == (error, dissimilarity)
+    assert compare(picture, noisy, covered) == distances
 
 
 def test_error_is_the_mean_square_over_the_texels():
     picture = np.full((32, 32, 3), 100, np.uint8)
     covered = np.ones((32, 32), bool)
-    error, _ = compare(picture, picture + 51, covered)
+    error = compare(picture, picture + 51, covered)["squared_error"]
     np.testing.assert_allclose(error, 0.04, rtol=1e-4)
     np.testing.assert_allclose(psnr(0.04), 13.979, atol=1e-3)

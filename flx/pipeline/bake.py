@@ -62,7 +62,11 @@ def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[in
 
 def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Baked:
     """Decode the latents at every texel and fill the gutters."""
-    colors = codec.decode(canvas.points, z)
+    return painted(canvas, codec.decode(canvas.points, z))
+
+
+def painted(canvas: Canvas, colors: Float32[Any, "P 3"]) -> Baked:
+    """Colours of the canvas' points as images, or as colours of vertices."""
     asset = canvas.asset
     if not canvas.atlases:
         whole = _own_colors(asset)

@@ -2,7 +2,9 @@
 
 import json
 import resource
+import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,7 @@ from flx.pipeline.bake import (
     write_png,
 )
 from flx.pipeline.codec import load_codec
+from flx.pipeline.perceptual import HINT, Judge, installed_judges
 from flx.pipeline.runs import write_atomically
 
 
@@ -43,6 +46,9 @@ def reconstruct(
 
     Writes reconstruction.glb, the atlas, side_by_side.png and metrics.json into `out`.
     """
+    judges = installed_judges()
+    if not judges:
+        print(f"flx: {HINT}", file=sys.stderr)
     began = time.monotonic()
     asset, codec = read_asset(mesh, texture), load_codec(weights)
     surface = Surface(vertices=vertices, seed=seed)
@@ -55,7 +61,7 @@ def reconstruct(
     metrics = {
         "mesh": str(mesh),
         "vertices": vertices,
-        **fidelity(canvas, baked),
+        **fidelity(canvas, baked, judges),
         "texture_sizes": [list(image.shape[:2]) for image in baked.images],
         "seconds": round(seconds, 2),
         "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
@@ -68,45 +74,44 @@ def reconstruct(
     return metrics
 
 
-def fidelity(canvas: Canvas, baked: Baked) -> dict[str, float]:
-    """PSNR and DSSIM of new textures against the asset's own, over covered texels of all textures.
+def fidelity(canvas: Canvas, baked: Baked, judges: Sequence[Judge] = ()) -> dict[str, float]:
+    """PSNR, DSSIM and each judge's LPIPS of new textures against the asset's own.
 
-    Vertex-coloured assets have no atlas, so no DSSIM: their PSNR is over the vertices.
+    Over covered texels of all textures. Vertex-coloured assets have no atlas: only a PSNR, over the vertices.
     """
     asset = canvas.asset
     if not canvas.atlases:
         used = np.unique(asset.corner_vertices)
         own = bake_back(asset).colors
         return {"psnr": psnr(float(np.mean((own[used] - baked.colors[used]) ** 2)))}
-    errors, dissimilarities, weights = [], [], []
+    distances, weights = [], []
     for atlas, own, new in zip(canvas.atlases, asset.mesh.textures, baked.images, strict=True):
         if atlas is None or not len(atlas.rows):
             continue
         covered = np.zeros(new.shape[:2], bool)
         covered[atlas.rows, atlas.columns] = True
-        error, dissimilarity = compare(resized(own, *new.shape[:2]), new, covered)
-        errors.append(error)
-        dissimilarities.append(dissimilarity)
+        distances.append(compare(resized(own, *new.shape[:2]), new, covered, judges))
         weights.append(covered.sum())
-    return {
-        "psnr": psnr(float(np.average(errors, weights=weights))),
-        "dssim": float(np.average(dissimilarities, weights=weights)),
-    }
+    means = {name: float(np.average([d[name] for d in distances], weights=weights)) for name in distances[0]}
+    return {"psnr": psnr(means.pop("squared_error")), **means}
 
 
 def compare(
-    own: UInt8[Any, "H W 3"], new: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"]
-) -> tuple[float, float]:
-    """Mean squared error in [0, 1] and DSSIM = (1 − SSIM)/2 over the covered texels.
+    own: UInt8[Any, "H W 3"],
+    new: UInt8[Any, "H W 3"],
+    covered: Bool[Any, "H W"],
+    judges: Sequence[Judge] = (),
+) -> dict[str, float]:
+    """Mean squared error in [0, 1], DSSIM = (1 − SSIM)/2 and LPIPS over the covered texels.
 
     SSIM as Wang et al.: Gaussian windows of σ = 1.5. Both pictures get the same gutters, so that a window
     at the rim of a chart compares colours of the surface alone.
     """
-    own, new = (fill_gutter(image, covered).astype(np.float32) / 255 for image in (own, new))
-    error = float(np.mean((own - new)[covered] ** 2))
+    own, new = fill_gutter(own, covered), fill_gutter(new, covered)
+    ours, theirs = (image.astype(np.float32) / 255 for image in (own, new))
     similarity = structural_similarity(
-        own,
-        new,
+        ours,
+        theirs,
         data_range=1.0,
         channel_axis=-1,
         gaussian_weights=True,
@@ -114,7 +119,11 @@ def compare(
         use_sample_covariance=False,
         full=True,
     )[1]
-    return error, float((1 - np.asarray(similarity)[covered].mean()) / 2)
+    return {
+        "squared_error": float(np.mean((ours - theirs)[covered] ** 2)),
+        "dssim": float((1 - np.asarray(similarity)[covered].mean()) / 2),
+        **{judge.metric: judge.distance(own, new, covered) for judge in judges},
+    }
 
 
 def psnr(mean_squared_error: float) -> float:

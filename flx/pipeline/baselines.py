@@ -1,0 +1,168 @@
+"""Other ways to keep a texture in a few numbers a vertex: what the FL-VAE is measured against.
+
+A method is given a `Subject` and answers with the colours of its points. Vertex colours take 3 numbers a
+vertex; both kinds of principal components take 16, like the FL-VAE, and are fitted to a folder of images.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Complex, Float, Float32
+
+from flx.config import FLVAE, Images
+from flx.mesh.copies import transfer
+from flx.mesh.texels import surface_colors
+from flx.models import frame
+from flx.pipeline.codec import Codec, initial_params
+from flx.pipeline.images import Fans, ImageRings, points_in_fans
+from flx.types import Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
+
+NUMBERS = 16  # a vertex
+RINGS = 16_384  # fitted to
+GRID, REACH = 17, 2.6  # points a side, and mean radii from the vertex, of the patch a component covers
+VERTICES, POINTS = 1024, 16_384  # worked at once
+
+
+class Subject(NamedTuple):
+    """A textured mesh, one triangulation of it, what was sampled there, and the points to be coloured."""
+
+    mesh: TexturedMesh
+    triangulation: Triangulation
+    rings: RingSamples
+    points: Queries
+
+
+Method = Callable[[Subject], Float32[Any, "P 3"]]
+
+
+def field_latents(codec: Codec) -> Method:
+    """The field-latent VAE, there and back."""
+    return lambda subject: codec.decode(subject.points, codec.encode(subject.rings))
+
+
+def vertex_colours(subject: Subject) -> Float32[Any, "P 3"]:
+    """The texture's colour at each vertex, interpolated over the faces."""
+    mesh, triangulation = subject.mesh, subject.triangulation
+    vertices, corners = np.unique(triangulation.faces, return_index=True)
+    points = SurfacePoints(corners // 3, np.eye(3)[corners % 3])
+    colors = np.zeros((len(triangulation.vertices), 3), np.float32)
+    colors[vertices] = surface_colors(mesh, transfer(points, *triangulation, mesh.vertices, mesh.faces))
+    return np.einsum("pkc,pk->pc", colors[subject.points.vertices], subject.points.barycentrics)
+
+
+def frame_components(images: ImageRings) -> Method:
+    """The codec of `flx.models.frame` as training finds it: its principal components, its MLPs silent."""
+    config = FLVAE(encoder="frame", invariants=3, decoder_width=8, precision="float32")
+    params = frame.start_from_principal_components(initial_params(config, 0), _rings(images))
+    silent = jax.tree_util.tree_map_with_path(
+        lambda path, leaf: jnp.zeros_like(leaf) if "RealMLP" in jax.tree_util.keystr(path) else leaf, params
+    )
+    return field_latents(Codec(config, silent))
+
+
+def _rings(images: ImageRings) -> RingSamples:
+    batches = [images(step).rings for step in range(-(-RINGS // images.batch))]
+    return RingSamples(*(jnp.concatenate(parts) for parts in zip(*batches, strict=True)))
+
+
+def open_images(folder: Path) -> ImageRings:
+    """One-rings over the images of a folder, at the scales the released FL-VAE is trained on."""
+    return ImageRings(Images(str(folder), smallest=1.5, largest=12.0), FLVAE(), 256)
+
+
+# --- principal components in the vertex's own frame
+
+
+class Components(NamedTuple):
+    """Coloured patches on a square grid around the vertex, scaled to coefficients of unit variance."""
+
+    mean: Float32[Any, "G 3"]
+    patches: Float32[Any, "G 3 N"]
+    noise: float  # variance of what they leave out
+
+
+def components(images: ImageRings) -> Method:
+    """Principal components of coloured patches: no code that is linear in its ring keeps more."""
+    fitted = fit_components(images)
+
+    def colored(subject: Subject) -> Float32[Any, "P 3"]:
+        return np.asarray(decode(fitted, encode(fitted, subject.rings), subject.points))
+
+    return colored
+
+
+def fit_components(images: ImageRings) -> Components:
+    """Fit to patches of the images; a point counts as often as a one-ring samples there."""
+    rng = np.random.default_rng(images.config.seed)
+    axis = np.linspace(-REACH, REACH, GRID)
+    grid = (axis[None, :] + 1j * axis[:, None]).ravel()
+    patches = [
+        images.read_colors(np.broadcast_to(grid, (images.batch, len(grid))), rng)
+        for _ in range(-(-RINGS // images.batch))
+    ]
+    x = np.concatenate(patches).reshape(-1, 3 * len(grid)).astype(np.float64)
+    mean = x.mean(0)
+    roots = np.sqrt(np.repeat(_density(images.pool, rng), 3))
+    covariance = np.cov((x - mean).T) * roots * roots[:, None]
+    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = values[::-1], vectors[:, ::-1][:, :NUMBERS]
+    scaled = vectors * np.sqrt(values[:NUMBERS]) / roots[:, None]
+    shape = (len(grid), 3)
+    return Components(
+        mean.reshape(shape).astype(np.float32),
+        scaled.reshape(*shape, NUMBERS).astype(np.float32),
+        float(values[NUMBERS:].sum() / 3),
+    )
+
+
+def _density(pool: Fans, rng: np.random.Generator) -> Any:
+    """The share of a one-ring's samples at each point of the grid; nowhere quite nothing."""
+    z = points_in_fans(pool, 4, rng).ravel()
+    edges = (np.arange(GRID + 1) - 0.5) / (GRID - 1) * 2 * REACH - REACH
+    counts = np.histogram2d(np.clip(z.imag, -REACH, REACH), np.clip(z.real, -REACH, REACH), [edges, edges])[0]
+    counts += 1e-3 * counts.max()
+    return (counts / counts.sum()).ravel()
+
+
+@jax.jit
+def encode(fitted: Components, rings: RingSamples) -> Float[Array, "V N"]:
+    """The most likely coefficients of each ring, given its samples (Tipping and Bishop's PCA)."""
+
+    def one(ring: RingSamples) -> Array:
+        mean, patches = _at(fitted, ring.logs)
+        patches = patches.reshape(-1, NUMBERS)
+        gram = patches.T @ patches + fitted.noise * jnp.eye(NUMBERS)
+        return jnp.linalg.solve(gram, patches.T @ (ring.colors - mean).ravel())
+
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, rings), batch_size=VERTICES)
+
+
+@jax.jit
+def decode(fitted: Components, z: Float[Array, "V N"], points: Queries) -> Float[Array, "P 3"]:
+    """Colours in [0, 1]: what the corners' patches show at each point, blended barycentrically."""
+
+    def one(point: Queries) -> Array:
+        mean, patches = _at(fitted, point.logs)
+        shown = mean + jnp.einsum("kcn,kn->kc", patches, z[point.vertices])
+        return jnp.clip(point.barycentrics @ shown, 0, 1)
+
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, points), batch_size=POINTS)
+
+
+def _at(fitted: Components, logs: Complex[Any, "K"]) -> tuple[Float[Array, "K 3"], Float[Array, "K 3 N"]]:
+    """Mean and patches at points around the vertex, bilinear; beyond the grid, as at its border."""
+    place = jnp.stack([jnp.imag(logs), jnp.real(logs)], -1)
+    place = jnp.clip((place + REACH) * (GRID - 1) / (2 * REACH), 0, GRID - 1)
+    corner = jnp.minimum(place.astype(jnp.int32), GRID - 2)
+    down, right = jnp.moveaxis(place - corner, -1, 0)
+    first = corner[..., 0] * GRID + corner[..., 1]
+    steps = ((0, (1 - down) * (1 - right)), (1, (1 - down) * right), (GRID, down * (1 - right)))
+    steps = (*steps, (GRID + 1, down * right))
+    mean = sum(weight[:, None] * jnp.asarray(fitted.mean)[first + step] for step, weight in steps)
+    patches = sum(weight[:, None, None] * jnp.asarray(fitted.patches)[first + step] for step, weight in steps)
+    return jnp.asarray(mean), jnp.asarray(patches)

