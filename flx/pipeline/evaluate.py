@@ -13,6 +13,7 @@ from skimage.metrics import structural_similarity
 from flx.config import Surface
 from flx.mesh.assets import read_asset
 from flx.mesh.copies import make_copy
+from flx.mesh.seams import seam_ratio
 from flx.mesh.texels import fill_gutter, with_filled_gutters
 from flx.pipeline.bake import (
     Baked,
@@ -21,6 +22,7 @@ from flx.pipeline.bake import (
     bake_back,
     open_canvas,
     resized,
+    shown,
     side_by_side,
     write_baked,
     write_png,
@@ -56,6 +58,8 @@ def reconstruct(
         "mesh": str(mesh),
         "vertices": vertices,
         **fidelity(canvas, baked),
+        "seam_ratio": seam_ratio(shown(asset, baked)),
+        "seam_ratio_input": seam_ratio(asset.mesh),
         "texture_sizes": [list(image.shape[:2]) for image in baked.images],
         "seconds": round(seconds, 2),
         "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,

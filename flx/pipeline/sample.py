@@ -13,8 +13,9 @@ from flx.config import FLDMExperiment
 from flx.fields import ddpm
 from flx.fields.algebra import tangent_noise
 from flx.mesh.assets import read_asset
+from flx.mesh.seams import seam_ratio
 from flx.models.denoiser import denoise
-from flx.pipeline.bake import Baked, bake, open_canvas, side_by_side, write_baked, write_png
+from flx.pipeline.bake import Baked, bake, open_canvas, shown, side_by_side, write_baked, write_png
 from flx.pipeline.codec import load_codec
 from flx.pipeline.learn import asset_file, denoiser, latent_scaling, load_copies, schedule
 from flx.pipeline.prepare import open_cache, prepare
@@ -81,6 +82,8 @@ def sample(
         "sampler": sampler,
         "steps": len(table.t),
         "vertices": surface.vertices,
+        "seam_ratios": [seam_ratio(shown(asset, baked)) for baked in variations],
+        "seam_ratio_input": seam_ratio(asset.mesh),
         "files": [f"variation_{n:02d}.glb" for n in range(count)],
     }
     write_atomically(out / "samples.json", (json.dumps(record, indent=2) + "\n").encode())
