@@ -1,8 +1,10 @@
 """From latents to an asset: colours decoded wherever the asset shows them, in files and in pictures."""
 
+import importlib.util
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Int32, UInt8
@@ -10,13 +12,16 @@ from PIL import Image
 
 from flx.mesh.assets import Asset, write_glb, write_glb_colors
 from flx.mesh.copies import queries_at, transfer
+from flx.mesh.exports import write_obj, write_obj_colors, write_ply_colors
 from flx.mesh.render import contact_sheet, look, show
 from flx.mesh.tangent import tangent_frames
 from flx.mesh.texels import Atlas, atlas_texels, fill_gutter, quantized
+from flx.mesh.unwrap import INSTALL, is_unwrappable, unwrapped
 from flx.pipeline.codec import Codec
 from flx.pipeline.runs import write_atomically
 from flx.types import SurfacePoints, TexturedMesh, Triangulation
 
+Format = Literal["glb", "obj", "ply"]
 LARGEST = 2048  # pixels on the longer side of an atlas, unless more are asked for
 CHUNK = 1 << 18  # texels decoded at a time
 VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
@@ -129,10 +134,34 @@ def shown(asset: Asset, baked: Baked) -> TexturedMesh:
     return asset.mesh._replace(corner_colors=baked.colors[asset.corner_vertices])
 
 
+def prepared_for(asset: Asset, format: Format) -> Asset:
+    """The asset, with an atlas where it has vertex colours and `format` and installation allow one.
+
+    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures.
+    """
+    if format == "ply" and asset.textures:
+        raise ValueError(
+            f"{asset.path} has textures, a PLY has colours of vertices; take --format glb or obj"
+        )
+    if format == "ply" or not is_unwrappable(asset):
+        return asset
+    if importlib.util.find_spec("xatlas") is None:
+        print(f"{asset.path}: new colours go to its vertices; {INSTALL} for an atlas", file=sys.stderr)
+        return asset
+    return unwrapped(asset)
+
+
 def write_baked(asset: Asset, baked: Baked, path: Path) -> None:
-    """A GLB with the asset's own geometry, coordinates and materials, whole or not at all."""
+    """The asset's own geometry, coordinates and materials in the suffix's format, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if baked.images:
+    if path.suffix == ".obj":
+        if baked.images:
+            write_obj(asset, baked.images, path)
+        else:
+            write_obj_colors(asset, baked.colors, path)
+    elif path.suffix == ".ply":
+        write_ply_colors(asset, baked.colors, path)
+    elif baked.images:
         write_glb(asset, baked.images, path)
     else:
         write_glb_colors(asset, baked.colors, path)
