@@ -77,6 +77,7 @@ def sample(
     steps: int = 50,
     texture_size: int | None = None,
     out: Path | None = None,
+    format: Literal["glb", "obj", "ply"] = "glb",
 ) -> None:
     """Make new textures: variation_00.glb ..., their atlases, a contact sheet and samples.json.
 
@@ -90,10 +91,11 @@ def sample(
         steps: Steps of the DDIM sampler.
         texture_size: Pixels on the atlas' longer side; the input's, at most 2048, unless given.
         out: Folder to write to; RUN/samples unless given.
+        format: "glb" keeps all that a GLB or glTF held; "obj" adds MTL and PNG; "ply" holds vertex colours.
     """
     from flx.pipeline.sample import sample as draw
 
-    print(draw(run, count, seed, sampler, steps, texture_size, out))
+    print(draw(run, count, seed, sampler, steps, texture_size, out, format))
 
 
 def reconstruct(
@@ -106,6 +108,7 @@ def reconstruct(
     up: Literal["y", "z"] = "y",
     seed: int = 0,
     out: Path | None = None,
+    format: Literal["glb", "obj", "ply"] = "glb",
 ) -> None:
     """Send a texture through the FL-VAE and back, and print its metrics as JSON.
 
@@ -120,10 +123,11 @@ def reconstruct(
         up: The axis that points up in the pictures.
         seed: Of the triangulation.
         out: Folder to write to; MESH-VERTICES unless given.
+        format: "glb" keeps all that a GLB or glTF held; "obj" adds MTL and PNG; "ply" holds vertex colours.
     """
     from flx.pipeline.evaluate import reconstruct as there_and_back
 
-    print(_json(there_and_back(mesh, vertices, texture, texture_size, weights, seed, up, out)))
+    print(_json(there_and_back(mesh, vertices, texture, texture_size, weights, seed, up, out, format)))
 
 
 def evaluate(

@@ -10,7 +10,7 @@ from flx.mesh.copies import queries, sample_rings
 from flx.pipeline import baselines, intrinsic
 from flx.pipeline.baselines import Subject
 from flx.pipeline.images import ImageRings
-from flx.types import RingSamples, SurfacePoints, TexturedMesh, Triangulation
+from flx.types import Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
 
 SLOPES = np.array([[0.5, -0.2, 0.1], [0.1, 0.4, -0.3], [0.2, 0.1, 0.2]])
 
@@ -19,7 +19,9 @@ def linear(positions: np.ndarray) -> np.ndarray:
     return 0.4 + positions @ SLOPES
 
 
-def subject(shape: Triangulation, triangulation: Triangulation, colors=linear) -> tuple[Subject, np.ndarray]:
+def subject(
+    shape: Triangulation, triangulation: Triangulation, colors=linear
+) -> tuple[Subject, Queries, np.ndarray]:
     """A surface coloured at its corners, a triangulation of it, and the true colours of its points."""
     corners = shape.vertices[shape.faces]
     faces = len(shape.faces)
@@ -29,7 +31,7 @@ def subject(shape: Triangulation, triangulation: Triangulation, colors=linear) -
     points = SurfacePoints(rng.integers(0, faces, 500), rng.dirichlet(np.ones(3), 500))
     truth = np.einsum("pkc,pk->pc", mesh.corner_colors[points.faces], points.barycentrics)
     rings = sample_rings(mesh, triangulation, 64, 0)
-    return Subject(mesh, triangulation, rings, queries(mesh, points, triangulation)), truth
+    return Subject(mesh, triangulation, rings), queries(mesh, points, triangulation), truth
 
 
 def rms(a: np.ndarray, b: np.ndarray) -> float:
@@ -51,25 +53,25 @@ def images(tmp_path_factory) -> ImageRings:
 
 
 def test_vertex_colours_keep_linear_and_constant_colours():
-    seen, truth = subject(square_grid(5), square_grid(9))
-    assert rms(baselines.vertex_colours(seen), truth) < 1e-6 < np.ptp(truth)
-    seen, truth = subject(icosphere(1), icosphere(2), lambda x: np.full(x.shape, 0.3))
-    np.testing.assert_allclose(baselines.vertex_colours(seen), truth, atol=1e-6)
+    seen, points, truth = subject(square_grid(5), square_grid(9))
+    assert rms(baselines.vertex_colours(seen)(points), truth) < 1e-6 < np.ptp(truth)
+    seen, points, truth = subject(icosphere(1), icosphere(2), lambda x: np.full(x.shape, 0.3))
+    np.testing.assert_allclose(baselines.vertex_colours(seen)(points), truth, atol=1e-6)
 
 
 @pytest.mark.parametrize("method", [baselines.components, baselines.frame_components])
 def test_sixteen_components_keep_nearly_linear_colours(method, images):
     """Better than vertices can that know their rings' mean colours alone, by far."""
-    seen, truth = subject(square_grid(5), square_grid(9))
+    seen, points, truth = subject(square_grid(5), square_grid(9))
     means = seen.rings.colors.mean(1)
-    flat = np.einsum("pkc,pk->pc", means[seen.points.vertices], seen.points.barycentrics)
-    error = rms(method(images)(seen), truth)
+    flat = np.einsum("pkc,pk->pc", means[points.vertices], points.barycentrics)
+    error = rms(method(images)(seen)(points), truth)
     assert error < 0.012 and error < rms(flat, truth) / 1.5
 
 
 def test_encoding_gives_back_the_coefficients_of_a_component(images):
     fitted = baselines.fit_components(images)
-    seen, _ = subject(square_grid(5), square_grid(9))
+    seen, *_ = subject(square_grid(5), square_grid(9))
     wanted = np.random.default_rng(1).normal(size=16).astype(np.float32)
     logs = seen.rings.logs[:20]
     mean, patches = baselines._at(fitted, logs.ravel())
@@ -97,6 +99,6 @@ def test_eigenfunctions_do_not_see_how_large_a_mesh_is():
 def test_a_field_learns_its_mesh(monkeypatch):
     for name, value in {"STEPS": 150, "BATCH": 128, "WIDTHS": (32, 32, 3), "RATE": 1e-2}.items():
         monkeypatch.setattr(intrinsic, name, value)
-    seen, truth = subject(icosphere(2), icosphere(2))
-    found = intrinsic.intrinsic_field(seen)
+    seen, points, truth = subject(icosphere(2), icosphere(2))
+    found = intrinsic.intrinsic_field(seen)(points)
     assert rms(found, truth) < rms(truth.mean(0), truth) / 5

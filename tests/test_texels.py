@@ -185,6 +185,7 @@ def test_the_first_face_owns_a_shared_texel_whatever_the_chunks(monkeypatch):
     whole = atlas_texels(mesh, 0, 16, 16)
     columns, rows = whole.columns, whole.rows
     assert (whole.points.faces == 0).all() and len(rows) == 256  # face 0 alone reaches every texel
+    monkeypatch.setattr("flx.mesh.raster.CHUNK", 5)
     monkeypatch.setattr("flx.mesh.texels.CHUNK", 5)
     parts = atlas_texels(mesh, 0, 16, 16)
     np.testing.assert_array_equal(parts.columns, columns)
@@ -198,7 +199,66 @@ def test_faces_without_uv_area_or_of_other_textures_have_no_texels():
     assert len(atlas_texels(mesh, 0, 16, 16).rows) == 0
 
 
+def test_a_texel_inside_a_large_face_shows_a_point_of_one_of_its_repeats():
+    mesh = quad([(0, 0), (3, 0), (3, 3), (0, 3)])
+    atlas = atlas_texels(mesh, 0, 16, 24)
+    points = atlas.points
+    uvs = np.einsum("pkx,pk->px", mesh.corner_uvs[points.faces], points.barycentrics)
+    centres = np.stack([(atlas.columns + 0.5) / 24, (atlas.rows + 0.5) / 16], 1)
+    np.testing.assert_allclose(uvs % 1, centres, atol=1e-9)
+    assert (points.barycentrics.min(1) > 0).all() and (uvs >= 1).any()
+
+
+def test_a_face_that_repeats_its_texture_without_end_is_refused():
+    with pytest.raises(ValueError, match=r"face 1 runs over 1000 repeats of texture 0.*unwrap"):
+        atlas_texels(quad([(0, 0), (1, 0), (1, 1), (0, 1000)]), 0, 16, 16)
+
+
+@pytest.mark.parametrize("fill", [0.2, 0.0])
+def test_a_face_smaller_than_a_texel_takes_the_texel_it_lies_in(fill):
+    """... and so does one that has no area on the texture at all."""
+    ball = sphere(2)
+    mesh = textured(ball, separate_charts(ball, 12, fill))
+    atlas = atlas_texels(mesh, 0, 12, 12)  # a texel for each chart, its centre beside the chart
+    np.testing.assert_array_equal(atlas.faces.ravel()[:128], np.arange(128))
+    assert (atlas.faces.ravel()[128:] == -1).all()
+    uvs = np.einsum("pkx,pk->px", mesh.corner_uvs[atlas.points.faces], atlas.points.barycentrics)
+    rim = np.array([0.1, 0.1]) + fill / 2  # the middle of the long side is nearest to the centre
+    np.testing.assert_allclose((uvs * 12) % 1, np.tile(rim, (128, 1)), atol=1e-6)
+
+
+def test_a_needle_between_the_centres_takes_every_texel_it_passes():
+    mesh = quad([(0.01, 0.26), (0.99, 0.26), (0.99, 0.27), (0.01, 0.27)])
+    atlas = atlas_texels(mesh, 0, 16, 64)
+    np.testing.assert_array_equal(atlas.columns, np.arange(64))
+    assert (atlas.rows == 4).all()
+    u = np.einsum("pkx,pk->px", mesh.corner_uvs[atlas.points.faces], atlas.points.barycentrics)[:, 0]
+    np.testing.assert_allclose(u, np.clip((np.arange(64) + 0.5) / 64, 0.01, 0.99), atol=1e-3)
+
+
 # --- gutters and paint
+
+
+def test_inside_a_chart_only_its_own_colour_is_seen_at_every_mip_level():
+    """Charts of one colour each, at least 24 texels apart, on black: bilinear, down to 1/4 of the size."""
+    ball, cells, size = sphere(1), 6, 384
+    mesh = textured(ball, separate_charts(ball, cells, 0.6), np.zeros((size, size, 3), np.uint8))
+    atlas = atlas_texels(mesh, 0, size, size)
+    colors = np.random.default_rng(0).integers(60, 256, (32, 3), np.uint8).astype(np.float32) / 255
+    rng = np.random.default_rng(1)
+    points = SurfacePoints(np.repeat(np.arange(32), 90), rng.dirichlet((0.3, 0.3, 0.3), 32 * 90))
+    points.barycentrics[::9] = np.eye(3)[rng.integers(0, 3, 320)]  # the very corners
+
+    def worst(image: np.ndarray, level: int) -> float:
+        side = 2**level
+        small = image.reshape(size // side, side, size // side, side, 3).mean((1, 3))
+        seen = surface_colors(mesh._replace(textures=(np.rint(small).astype(np.uint8),)), points)
+        return float(np.abs(seen - colors[points.faces]).max())
+
+    filled = paint(atlas, colors[atlas.points.faces])
+    bare = np.where(atlas.covered[..., None], filled, 0).astype(np.uint8)
+    assert [worst(filled, level) < 1e-6 for level in (0, 1, 2)] == [True] * 3
+    assert min(worst(bare, level) for level in (0, 1, 2)) > 0.1 and worst(filled, 5) > 0.1
 
 
 def test_a_gutter_takes_the_nearest_colour_and_leaves_covered_texels():

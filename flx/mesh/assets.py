@@ -317,7 +317,7 @@ def write_glb(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
             f"{asset.path} has {len(asset.textures)} textures, {len(images)} images given; "
             "give one for each, or vertex colours to write_glb_colors"
         )
-    pngs = {i: _png(images[i], t.alpha) for i, t in enumerate(asset.textures) if not t.flat}
+    pngs = {i: encode_png(images[i], t.alpha) for i, t in enumerate(asset.textures) if not t.flat}
     if asset.container is None:
         file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, pngs)
     else:
@@ -345,7 +345,8 @@ def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
     glb.write_file(glb.glb_bytes(file), Path(path))
 
 
-def _png(image: UInt8[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:
+def encode_png(image: UInt8[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:
+    """A PNG; `alpha`, of any size, makes it RGBA."""
     picture = Image.fromarray(image)
     if alpha is not None:
         picture.putalpha(Image.fromarray(alpha).resize(picture.size, Image.Resampling.BILINEAR))

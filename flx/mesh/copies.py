@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flx.mesh.tables import mesh_tables
-from flx.mesh.tangent import corner_logs, tangent_frames
+from flx.mesh.tangent import TangentFrames, corner_logs, tangent_frames
 from flx.mesh.texels import face_normals, locate, positions, ring_points, surface_colors
 from flx.mesh.triangulations import remesh
 from flx.types import MeshTables, Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
@@ -46,7 +46,12 @@ def sample_rings(mesh: TexturedMesh, triangulation: Triangulation, samples: int,
 def queries(mesh: TexturedMesh, points: SurfacePoints, triangulation: Triangulation) -> Queries:
     """Points of the mesh as the decoder is asked for them: seen from the corners of a copy's faces."""
     hits = transfer(points, mesh.vertices, mesh.faces, triangulation.vertices, triangulation.faces)
-    logs = corner_logs(tangent_frames(triangulation), triangulation, hits.faces, hits.barycentrics)
+    return queries_at(hits, triangulation, tangent_frames(triangulation))
+
+
+def queries_at(hits: SurfacePoints, triangulation: Triangulation, frames: TangentFrames) -> Queries:
+    """The same, for points that lie on the copy already."""
+    logs = corner_logs(frames, triangulation, hits.faces, hits.barycentrics)
     return Queries(
         triangulation.faces[hits.faces].astype(np.int32),
         logs.astype(np.complex64),

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from flx.config import FLDMExperiment
 from flx.mesh.assets import Asset, Report, uv_areas
-from flx.mesh.texels import pixels_inside
+from flx.mesh.raster import barycentric_planes, pixels_inside
 
 RASTER = 1024  # pixels on the longer side on which texels are counted
 MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, its repetitions counted
@@ -93,9 +93,11 @@ def _coverage(asset: Asset) -> tuple[float, float]:
         scale *= min(1.0, (MOST_PIXELS / max(pixels, 1.0)) ** 0.5)
         height, width = (max(1, round(side * scale)) for side in image.shape[:2])
         counts = np.zeros(height * width, np.int64)
-        for found in pixels_inside(mesh.corner_uvs[chosen] * [width, height] - 0.5):
-            own = found.barycentrics.min(1) > WITHIN
-            place = found.rows[own] % height * width + found.columns[own] % width
+        corners = mesh.corner_uvs[chosen] * [width, height] - 0.5
+        barycentrics = barycentric_planes(corners)
+        for triangles, columns, rows in pixels_inside(corners):
+            own = barycentrics(triangles, columns, rows).min(0) > WITHIN
+            place = rows[own] % height * width + columns[own] % width
             counts += np.bincount(place, minlength=len(counts))
         shown, doubled = shown + int((counts > 0).sum()), doubled + int((counts > 1).sum())
         texels += len(counts)

@@ -213,10 +213,13 @@ def glb_bytes(gltf: Gltf) -> bytes:
 
 
 def write_file(content: bytes, path: Path) -> None:
-    """All of the file or none of it: written beside its place, then renamed."""
+    """All of the file or none of it, even through a power cut: written beside its place, then renamed."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        beside.write_bytes(content)
+        with open(beside, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(beside, path)
     finally:
         beside.unlink(missing_ok=True)

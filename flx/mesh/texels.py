@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import igl
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, UInt8
+from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt8
 from scipy.ndimage import distance_transform_edt
 
+from flx.mesh.raster import CHUNK, Pixels, Planes, barycentric_planes, expand, pixels_inside
 from flx.types import SurfacePoints, TexturedMesh, Triangulation
 
-CHUNK = 1 << 16  # points handled at a time: what the cache holds
-INSIDE = -1e-9  # least barycentric of a pixel inside: a shared edge leaves no hole
+MOST_REPEATS = 16  # of a texture over one face: beyond, texels by the billion would show the same
 WRAP = 8  # texels by which a gutter looks across the border of a repeating texture
 
 
@@ -45,15 +45,15 @@ def texture_colors(image: UInt8[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Floa
     texels = image.reshape(-1, 3)
     colors = np.empty((len(uvs), 3), np.float32)
     for start in range(0, len(uvs), CHUNK):
-        pixels = uvs[start : start + CHUNK] * [width, height] - 0.5
-        floors = np.floor(pixels)
-        right, down = (pixels - floors).astype(np.float32).T
-        left, top = floors.astype(np.int64).T
-        columns, rows = (left % width, (left + 1) % width), (top % height * width, (top + 1) % height * width)
-        chunk = texels[rows[0] + columns[0]] * ((1 - right) * (1 - down))[:, None]
-        chunk += texels[rows[0] + columns[1]] * (right * (1 - down))[:, None]
-        chunk += texels[rows[1] + columns[0]] * ((1 - right) * down)[:, None]
-        chunk += texels[rows[1] + columns[1]] * (right * down)[:, None]
+        x, y = (uvs[start : start + CHUNK] * [width, height] - 0.5).T
+        left, top = np.floor(x), np.floor(y)
+        right_share, low_share = (x - left).astype(np.float32), (y - top).astype(np.float32)
+        left, top = left.astype(np.int64) % width, top.astype(np.int64) % height
+        columns, rows = (left, (left + 1) % width), (top * width, (top + 1) % height * width)
+        chunk = np.zeros((len(x), 3), np.float32)
+        for row, vertical in zip(rows, (1 - low_share, low_share), strict=True):
+            for column, horizontal in zip(columns, (1 - right_share, right_share), strict=True):
+                chunk += texels.take(row + column, axis=0) * (vertical * horizontal)[:, None]
         colors[start : start + CHUNK] = chunk / np.float32(255)
     return colors
 
@@ -63,146 +63,181 @@ def surface_colors(mesh: TexturedMesh, points: SurfacePoints) -> Float32[Any, "P
     if not mesh.textures:
         blend = np.einsum("pkc,pk->pc", mesh.corner_colors[points.faces], points.barycentrics)
         return blend.astype(np.float32)
-    uvs = np.einsum("pkx,pk->px", mesh.corner_uvs[points.faces], points.barycentrics)
+    uvs = np.einsum("pkx,pk->px", mesh.corner_uvs.take(points.faces, 0), points.barycentrics)
+    if len(mesh.textures) == 1:
+        return texture_colors(mesh.textures[0], uvs)
     textures = mesh.face_textures[points.faces]
     colors = np.empty((len(uvs), 3), np.float32)
-    for index in np.unique(textures):
-        chosen = textures == index
-        colors[chosen] = texture_colors(mesh.textures[index], uvs[chosen])
+    for index, image in enumerate(mesh.textures):
+        chosen = np.flatnonzero(textures == index)
+        colors[chosen] = texture_colors(image, uvs[chosen])
     return colors
-
-
-# --- pixels inside triangles
-
-
-class Pixels(NamedTuple):
-    """Pixel centres inside triangles. A pixel may come more than once, with different triangles."""
-
-    triangles: Int[Any, "N"]
-    columns: Int[Any, "N"]
-    rows: Int[Any, "N"]
-    barycentrics: Float64[Any, "N 3"]  # ≥ 0, sums to 1
-
-
-def pixels_inside(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
-    """Scan-convert triangles given in pixels (x right, y down; integers are centres), a chunk at a time.
-
-    Each row of a triangle is cut to the columns where all three barycentrics are ≥ 0, so long thin triangles
-    cost what they cover, not their bounding boxes. Triangles come in ascending order; those of no area never.
-    """
-    origins, edges = corners[:, 0], corners[:, 1:] - corners[:, :1]
-    areas = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
-    first = np.ceil(corners[:, :, 1].min(1)).astype(np.int64)
-    last = np.floor(corners[:, :, 1].max(1)).astype(np.int64)
-    heights = np.where(np.abs(areas) > 1e-12, np.maximum(last - first + 1, 0), 0)
-    slopes = np.zeros((len(corners), 2, 2))  # of barycentrics 1 and 2 along x and y
-    np.divide(
-        np.stack([edges[:, 1, 1], -edges[:, 1, 0], -edges[:, 0, 1], edges[:, 0, 0]], 1).reshape(-1, 2, 2),
-        areas[:, None, None],
-        out=slopes,
-        where=(heights > 0)[:, None, None],
-    )
-    slopes = np.concatenate([-slopes.sum(1, keepdims=True), slopes], 1)
-
-    for triangles, steps in _expand(heights):
-        rows = first[triangles] + steps
-        along, across = slopes[triangles, :, 0], slopes[triangles, :, 1]
-        at_zero = across * (rows - origins[triangles, 1])[:, None] - along * origins[triangles, :1]
-        at_zero[:, 0] += 1.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossings = (INSIDE - at_zero) / along
-        left = np.ceil(np.where(along > 0, crossings, -np.inf).max(1))
-        right = np.floor(np.where(along < 0, crossings, np.inf).min(1))
-        outside = ((along == 0) & (at_zero < INSIDE)).any(1)
-        widths = np.where(outside, 0, np.maximum(right - left + 1, 0)).astype(np.int64)
-        for spans, columns in _expand(widths):
-            columns = columns + left[spans].astype(np.int64)
-            barycentrics = np.maximum(at_zero[spans] + along[spans] * columns[:, None], 0.0)
-            barycentrics /= np.einsum("pk->p", barycentrics)[:, None]  # sum(1) takes 5 times as long
-            yield Pixels(triangles[spans], columns, rows[spans], barycentrics)
-
-
-def _expand(counts: Int[Any, "N"]) -> Iterator[tuple[Int[Any, "M"], Int[Any, "M"]]]:
-    """Item i repeated counts[i] times, with 0, 1, 2 … beside it, in chunks that hold at least one item."""
-    ends = np.cumsum(counts)
-    start = 0
-    while start < len(counts):
-        done = ends[start] - counts[start]
-        stop = max(int(np.searchsorted(ends, done + CHUNK, side="right")), start + 1)
-        items = np.repeat(np.arange(start, stop), counts[start:stop])
-        if len(items):
-            yield items, np.arange(len(items)) - (ends[items] - counts[items] - done)
-        start = stop
 
 
 # --- texels and points
 
 
 class Atlas(NamedTuple):
-    """The texels of one texture that show the surface, each with its point on the original mesh."""
+    """Which face each texel of one texture shows; where on the face follows from the coordinates.
 
-    rows: Int[Any, "P"]
-    columns: Int[Any, "P"]
-    points: SurfacePoints
-    height: int
-    width: int
+    Four bytes a texel. Texels are numbered row by row; `texels`, `rows`, `columns` and `points` list those
+    that show the surface, in that order.
+    """
+
+    faces: Int32[Any, "H W"]  # of the mesh; −1: no surface
+    corners: Float64[Any, "F 3 2"]  # of the mesh's UV triangles, in texels; integers are centres
+    planes: Planes  # their barycentrics
+
+    @property
+    def height(self) -> int:
+        return self.faces.shape[0]
+
+    @property
+    def width(self) -> int:
+        return self.faces.shape[1]
+
+    @property
+    def covered(self) -> Bool[Any, "H W"]:
+        return self.faces >= 0
+
+    @property
+    def texels(self) -> Int[Any, "P"]:
+        return np.flatnonzero(self.covered)
+
+    @property
+    def rows(self) -> Int[Any, "P"]:
+        return self.texels // self.width
+
+    @property
+    def columns(self) -> Int[Any, "P"]:
+        return self.texels % self.width
+
+    @property
+    def points(self) -> SurfacePoints:
+        """The point that each texel shows: 32 bytes a texel, so for large atlases rather `points_at`."""
+        texels = self.texels
+        chunks = [self.points_at(texels[start : start + CHUNK]) for start in range(0, len(texels), CHUNK)]
+        if not chunks:
+            return SurfacePoints(np.zeros(0, np.int64), np.zeros((0, 3)))
+        return SurfacePoints(*map(np.concatenate, zip(*chunks, strict=True)))
+
+    def points_at(self, texels: Int[Any, "N"]) -> SurfacePoints:
+        """The point of its face that each texel's centre shows, or is nearest to where the face is too small.
+
+        Of the repeats of a texel inside one face: the one deepest inside.
+        """
+        faces = self.faces.ravel()[texels].astype(np.int64)
+        y, x = np.divmod(texels, self.width)
+        repeats = self._repeats(faces, x, y)
+        x, y = x + repeats[0][0] * self.width, y + repeats[0][1] * self.height
+        barycentrics = self.planes(faces, x, y)
+        for right, down in repeats[1:]:
+            other = self.planes(faces, x + right * self.width, y + down * self.height)
+            better = other.min(0) > barycentrics.min(0)
+            barycentrics[:, better] = other[:, better]
+        outside = np.flatnonzero(barycentrics.min(0) < 0)  # also where there is no area
+        if len(outside):
+            places = np.stack([x[outside], y[outside]], 1).astype(np.float64)
+            barycentrics[:, outside] = _nearest_on_edges(self.corners[faces[outside]], places).T
+        return SurfacePoints(faces, np.ascontiguousarray(barycentrics.T))
+
+    def _repeats(self, faces: Int[Any, "N"], x: Int[Any, "N"], y: Int[Any, "N"]) -> list[tuple[Any, Any]]:
+        """By how many widths and heights a texel is moved to the middle of its face, and from there on to the
+        other places where the face may repeat it."""
+        if self.corners.min(initial=0) > -1 and (self.corners.max((0, 1)) < [self.width, self.height]).all():
+            return [(0, 0)]
+        size = np.array([self.width, self.height])
+        low, high = (bound(self.corners, 1) / size for bound in (np.min, np.max))
+        right, down = np.round((low + high)[faces].T / 2 - [x / self.width, y / self.height]).astype(np.int64)
+        reach = np.ceil(np.round((high - low)[faces].max(0) / 2 - 0.5, 6)).astype(int)
+        return [(right, down), *(tuple(np.array(n) - reach) for n in np.ndindex(*(2 * reach + 1)))]
+
+
+def _nearest_on_edges(corners: Float64[Any, "N 3 2"], places: Float64[Any, "N 2"]) -> Float64[Any, "N 3"]:
+    """The barycentrics of the point nearest to each place on the outline of its triangle."""
+    nearest, barycentrics = np.full(len(places), np.inf), np.zeros((len(places), 3))
+    for k, after in ((0, 1), (1, 2), (2, 0)):
+        edges, offsets = corners[:, after] - corners[:, k], places - corners[:, k]
+        lengths = np.maximum(np.einsum("nx,nx->n", edges, edges), np.finfo(float).tiny)
+        along = np.clip(np.einsum("nx,nx->n", offsets, edges) / lengths, 0, 1)
+        squares = np.square(offsets - along[:, None] * edges).sum(1)
+        nearer = squares < nearest
+        nearest[nearer] = squares[nearer]
+        barycentrics[nearer] = 0
+        barycentrics[nearer, k], barycentrics[nearer, after] = 1 - along[nearer], along[nearer]
+    return barycentrics
 
 
 def atlas_texels(mesh: TexturedMesh, texture_index: int, height: int, width: int) -> Atlas:
     """Texels whose centres lie in the UV triangles of one texture; any size, whatever the texture's own.
 
-    UVs outside [0, 1] wrap. A texel that several faces claim (a shared edge, a repeated tile) comes once,
-    with the first of them.
+    UVs outside [0, 1] wrap. A texel that several faces claim (a shared edge, a repeated tile) goes to the
+    first of them. A face too small to hold any centre takes the texels that it touches, where they are free.
+    Raises ValueError for a face that runs over more than `MOST_REPEATS` repeats.
     """
-    chosen = np.flatnonzero(mesh.face_textures == texture_index)
-    owners = np.full(height * width, -1, np.int64)  # the running number of the hit that took the texel
-    found: list[Pixels] = []
-    count = 0
-    for pixels in pixels_inside(mesh.corner_uvs[chosen] * [width, height] - 0.5):
-        columns, rows = pixels.columns % width, pixels.rows % height
-        texels = rows * width + columns
-        free = np.flatnonzero(owners[texels] < 0)
-        numbers = count + np.arange(len(free))
-        owners[texels[free][::-1]] = numbers[::-1]  # the last write stays: the first face
-        free = free[owners[texels[free]] == numbers]
-        owners[texels[free]] = count  # any number that is taken
-        faces = chosen[pixels.triangles[free]]
-        found.append(Pixels(faces, columns[free], rows[free], pixels.barycentrics[free]))
-        count += len(numbers)
-    if not found:
-        none = np.zeros(0, np.int64)
-        return Atlas(none, none, SurfacePoints(none, np.zeros((0, 3))), height, width)
-    faces, columns, rows, barycentrics = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Atlas(rows, columns, SurfacePoints(faces, barycentrics), height, width)
+    corners = mesh.corner_uvs * [width, height] - 0.5
+    chosen = np.flatnonzero(mesh.face_textures == texture_index)[::-1]  # the last write stays: the first face
+    repeats = np.ptp(mesh.corner_uvs[chosen], axis=1)
+    if repeats.max(initial=0) > MOST_REPEATS:
+        face = chosen[repeats.max(1).argmax()]
+        raise ValueError(
+            f"face {face} runs over {repeats.max():.0f} repeats of texture {texture_index}, at most "
+            f"{MOST_REPEATS} can be painted; unwrap it anew"
+        )
+    faces, met = np.full(height * width, -1, np.int32), np.zeros(len(chosen), bool)
+    for pixels in pixels_inside(corners[chosen]):
+        faces[pixels.rows % height * width + pixels.columns % width] = chosen[pixels.triangles]
+        met[pixels.triangles] = True
+    free, small = faces < 0, chosen[~met]
+    for hits, columns, rows in _outlines(corners[small]):
+        texels = rows % height * width + columns % width
+        claimed = free[texels]
+        faces[texels[claimed]] = small[hits[claimed]]
+    return Atlas(faces.reshape(height, width), corners, barycentric_planes(corners))
+
+
+def _outlines(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
+    """The pixels that the edges of triangles pass through, to half a pixel; a chunk of edges at a time."""
+    corners = corners + 1e-6 * (corners.mean(1, keepdims=True) - corners)  # off the borders of pixels
+    edges = np.roll(corners, -1, axis=1) - corners
+    steps = 1 + np.ceil(2 * np.linalg.norm(edges, axis=2)).astype(np.int64).ravel()
+    starts, edges = corners.reshape(-1, 2), edges.reshape(-1, 2)
+    for sides, number in expand(steps):
+        places = starts[sides] + edges[sides] * (number / np.maximum(steps[sides] - 1, 1))[:, None]
+        columns, rows = np.round(places).astype(np.int64).T
+        yield Pixels(sides // 3, columns, rows)
+
+
+# --- gutters and paint
 
 
 def fill_gutter(image: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"]) -> UInt8[Any, "H W 3"]:
     """Every uncovered texel takes its nearest covered texel's colour, also across the repeating border.
 
-    A bilinear look-up at the rim of a chart reads half a texel beyond it. An image without a covered texel
-    comes back as it is.
+    A bilinear look-up at the rim of a chart reads half a texel beyond it, one in a smaller copy of the image
+    (a mip level) as far as its texels are large. An image without a covered texel comes back as it is.
     """
+    filled = image.copy()
     if covered.all() or not covered.any():
-        return image.copy()
+        return filled
     margins = [(min(WRAP, size),) * 2 for size in covered.shape]
-    padded = np.pad(covered, margins, mode="wrap")
-    nearest = distance_transform_edt(~padded, return_distances=False, return_indices=True)
-    inner = tuple(slice(low, size + low) for (low, _), size in zip(margins, covered.shape, strict=True))
-    rows, columns = (
-        (nearest[axis][inner] - margins[axis][0]) % covered.shape[axis]  # pyright: ignore[reportOptionalSubscript]
-        for axis in range(2)
-    )
-    return image[rows, columns]
+    padded = np.pad(~covered, margins, mode="wrap")
+    nearest: Any = distance_transform_edt(padded, return_distances=False, return_indices=True)
+    (top, _), (left, _) = margins
+    height, width = covered.shape
+    for row in range(height):
+        gutter = np.flatnonzero(~covered[row])
+        rows, columns = nearest[:, row + top, gutter + left]
+        filled[row, gutter] = image[(rows - top) % height, (columns - left) % width]
+    return filled
 
 
 def with_filled_gutters(mesh: TexturedMesh) -> TexturedMesh:
     """The mesh with what lies between the charts of its textures replaced by the nearest chart's colour."""
-    textures = []
-    for index, image in enumerate(mesh.textures):
-        atlas = atlas_texels(mesh, index, image.shape[0], image.shape[1])
-        covered = np.zeros(image.shape[:2], bool)
-        covered[atlas.rows, atlas.columns] = True
-        textures.append(fill_gutter(image, covered))
+    textures = [
+        fill_gutter(image, atlas_texels(mesh, index, *image.shape[:2]).covered)
+        for index, image in enumerate(mesh.textures)
+    ]
     return mesh._replace(textures=tuple(textures))
 
 
@@ -219,10 +254,14 @@ def paint(
             f"background has {image.shape[1]}x{image.shape[0]} texels but the atlas has "
             f"{atlas.width}x{atlas.height}; resize it, or leave it out"
         )
-    covered = np.zeros(image.shape[:2], bool)
-    covered[atlas.rows, atlas.columns] = True
-    image[atlas.rows, atlas.columns] = np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
+    covered = atlas.covered
+    image[covered] = quantized(colors)
     return fill_gutter(image, covered)
+
+
+def quantized(colors: Float32[Any, "P 3"]) -> UInt8[Any, "P 3"]:
+    """Colours as a texture holds them: clipped to [0, 1], 8 bits."""
+    return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 
 # --- points of another surface, points of one-rings

@@ -1,22 +1,29 @@
 """From latents to an asset: colours decoded wherever the asset shows them, in files and in pictures."""
 
-from collections.abc import Sequence
+import importlib.util
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Complex64, Float32, UInt8
+from jaxtyping import Complex64, Float32, Int32, UInt8
 from PIL import Image
 
 from flx.mesh.assets import Asset, write_glb, write_glb_colors
-from flx.mesh.copies import queries
-from flx.mesh.render import contact_sheet, render
-from flx.mesh.texels import Atlas, atlas_texels, paint
+from flx.mesh.copies import queries_at, transfer
+from flx.mesh.exports import write_obj, write_obj_colors, write_ply_colors
+from flx.mesh.render import contact_sheet, look, show
+from flx.mesh.tangent import tangent_frames
+from flx.mesh.texels import Atlas, atlas_texels, fill_gutter, quantized
+from flx.mesh.unwrap import INSTALL, is_unwrappable, unwrapped
 from flx.pipeline.codec import Codec
 from flx.pipeline.runs import write_atomically
 from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
 
+Format = Literal["glb", "obj", "ply"]
 LARGEST = 2048  # pixels on the longer side of an atlas, unless more are asked for
+CHUNK = 1 << 18  # texels decoded at a time
 VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
 
 
@@ -28,11 +35,16 @@ class Baked(NamedTuple):
 
 
 class Canvas(NamedTuple):
-    """Where an asset shows colours, as the decoder is asked for them on one triangulation."""
+    """Where an asset shows colours, and where that is on the triangulation that carries the latents.
+
+    16 bytes a texel: what the decoder asks for besides is made as it is decoded.
+    """
 
     asset: Asset
+    triangulation: Triangulation
     atlases: tuple[Atlas | None, ...]  # None: a flat material, left alone
-    points: Queries
+    faces: Int32[Any, "P"]  # of the triangulation; the texels of all atlases in turn, or the vertices
+    barycentrics: Float32[Any, "P 3"]
 
 
 def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | None = None) -> Canvas:
@@ -41,15 +53,27 @@ def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | 
     `texture_size`: pixels on the longer side; None: as the input has, at most `LARGEST`.
     """
     mesh = asset.mesh
-    if not mesh.textures:
-        return Canvas(asset, (), queries(mesh, _vertex_points(asset)[1], triangulation))
     atlases = tuple(
-        None if texture.flat else atlas_texels(mesh, index, *atlas_size(mesh.textures[index], texture_size))
-        for index, texture in enumerate(asset.textures)
+        None if texture.flat else atlas_texels(mesh, index, *atlas_size(image, texture_size))
+        for index, (texture, image) in enumerate(zip(asset.textures, mesh.textures, strict=True))
     )
-    points = [atlas.points for atlas in atlases if atlas]
-    joined = SurfacePoints(*(np.concatenate(part) for part in zip(*points, strict=True)))
-    return Canvas(asset, atlases, queries(mesh, joined, triangulation))
+    count = sum(int(atlas.covered.sum()) for atlas in atlases if atlas) or len(_vertex_points(asset)[0])
+    faces, barycentrics, start = np.empty(count, np.int32), np.empty((count, 3), np.float32), 0
+    for points in _shown_points(asset, atlases):
+        hits = transfer(points, mesh.vertices, mesh.faces, triangulation.vertices, triangulation.faces)
+        chunk = slice(start, start + len(hits.faces))
+        faces[chunk], barycentrics[chunk] = hits
+        start = chunk.stop
+    return Canvas(asset, triangulation, atlases, faces, barycentrics)
+
+
+def _shown_points(asset: Asset, atlases: Sequence[Atlas | None]) -> Iterator[SurfacePoints]:
+    if not atlases:
+        yield _vertex_points(asset)[1]
+    for atlas in filter(None, atlases):
+        texels = atlas.texels
+        for start in range(0, len(texels), CHUNK):
+            yield atlas.points_at(texels[start : start + CHUNK])
 
 
 def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[int, int]:
@@ -61,26 +85,39 @@ def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[in
 
 
 def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Baked:
-    """Decode the latents at every texel and fill the gutters."""
-    return painted(canvas, codec.decode(canvas.points, z))
+    """Decode the latents at every texel, or at every vertex."""
+    return painted(canvas, (codec.decode(points, z) for points in chunks(canvas)))
 
 
-def painted(canvas: Canvas, colors: Float32[Any, "P 3"]) -> Baked:
-    """Colours of the canvas' points as images, or as colours of vertices."""
+def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Baked:
+    """Colours of the canvas' `chunks` as images with filled gutters, or as colours of vertices."""
     asset = canvas.asset
     if not canvas.atlases:
         whole = _own_colors(asset)
-        whole[_vertex_points(asset)[0]] = colors
+        whole[_vertex_points(asset)[0]] = np.concatenate(list(colors))
         return Baked((), whole)
-    images, start = [], 0
+    images = []
     for atlas, image in zip(canvas.atlases, asset.mesh.textures, strict=True):
         if atlas is None:
             images.append(image)
             continue
-        background = resized(image, atlas.height, atlas.width)
-        images.append(paint(atlas, colors[start : start + len(atlas.rows)], background))
-        start += len(atlas.rows)
+        new, texels = resized(image, atlas.height, atlas.width).copy(), atlas.texels
+        for start in range(0, len(texels), CHUNK):
+            new.reshape(-1, 3)[texels[start : start + CHUNK]] = quantized(next(colors))
+        images.append(fill_gutter(new, atlas.covered))
     return Baked(tuple(images), np.zeros((0, 3), np.float32))
+
+
+def chunks(canvas: Canvas) -> Iterator[Queries]:
+    """The points of the canvas, at most `CHUNK` at a time; no chunk crosses from one atlas to the next."""
+    frames, start = tangent_frames(canvas.triangulation), 0
+    counts = [int(atlas.covered.sum()) for atlas in canvas.atlases if atlas] or [len(canvas.faces)]
+    for end in np.cumsum(counts):
+        while start < end:
+            chunk = slice(start, min(start + CHUNK, int(end)))
+            hits = SurfacePoints(canvas.faces[chunk], canvas.barycentrics[chunk].astype(np.float64))
+            yield queries_at(hits, canvas.triangulation, frames)
+            start = chunk.stop
 
 
 def bake_back(asset: Asset) -> Baked:
@@ -102,10 +139,34 @@ def shown(asset: Asset, baked: Baked) -> TexturedMesh:
     return asset.mesh._replace(corner_colors=baked.colors[asset.corner_vertices])
 
 
+def prepared_for(asset: Asset, format: Format) -> Asset:
+    """The asset, with an atlas where it has vertex colours and `format` and installation allow one.
+
+    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures.
+    """
+    if format == "ply" and asset.textures:
+        raise ValueError(
+            f"{asset.path} has textures, a PLY has colours of vertices; take --format glb or obj"
+        )
+    if format == "ply" or not is_unwrappable(asset):
+        return asset
+    if importlib.util.find_spec("xatlas") is None:
+        print(f"{asset.path}: new colours go to its vertices; {INSTALL} for an atlas", file=sys.stderr)
+        return asset
+    return unwrapped(asset)
+
+
 def write_baked(asset: Asset, baked: Baked, path: Path) -> None:
-    """A GLB with the asset's own geometry, coordinates and materials, whole or not at all."""
+    """The asset's own geometry, coordinates and materials in the suffix's format, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if baked.images:
+    if path.suffix == ".obj":
+        if baked.images:
+            write_obj(asset, baked.images, path)
+        else:
+            write_obj_colors(asset, baked.colors, path)
+    elif path.suffix == ".ply":
+        write_ply_colors(asset, baked.colors, path)
+    elif baked.images:
         write_glb(asset, baked.images, path)
     else:
         write_glb_colors(asset, baked.colors, path)
@@ -121,10 +182,8 @@ def side_by_side(
 ) -> UInt8[Any, "_ _ 3"]:
     """Renders of the input and of each new texture in columns, a view in each row."""
     meshes = [asset.mesh, *(shown(asset, b) for b in baked)]
-    rows = [
-        [render(mesh, azimuth=a, elevation=e, size=size, up=up) for mesh in meshes]  # pyright: ignore
-        for a, e in VIEWS
-    ]
+    views = [look(asset.mesh, a, e, size, up) for a, e in VIEWS]  # pyright: ignore
+    rows = [[show(view, mesh) for mesh in meshes] for view in views]
     return contact_sheet(rows, ["input", *captions])
 
 

@@ -1,6 +1,6 @@
 """Other ways to keep a texture in a few numbers a vertex: what the FL-VAE is measured against.
 
-A method is given a `Subject` and answers with the colours of its points. Vertex colours take 3 numbers a
+A method learns a `Subject` and answers with what colours its points. Vertex colours take 3 numbers a
 vertex; both kinds of principal components take 16, like the FL-VAE, and are fitted to a folder of images.
 """
 
@@ -29,30 +29,35 @@ VERTICES, POINTS = 1024, 16_384  # worked at once
 
 
 class Subject(NamedTuple):
-    """A textured mesh, one triangulation of it, what was sampled there, and the points to be coloured."""
+    """A textured mesh, one triangulation of it, and what was sampled there."""
 
     mesh: TexturedMesh
     triangulation: Triangulation
     rings: RingSamples
-    points: Queries
 
 
-Method = Callable[[Subject], Float32[Any, "P 3"]]
+Paint = Callable[[Queries], Float32[Any, "P 3"]]  # colours at points of the triangulation
+Method = Callable[[Subject], Paint]
 
 
 def field_latents(codec: Codec) -> Method:
     """The field-latent VAE, there and back."""
-    return lambda subject: codec.decode(subject.points, codec.encode(subject.rings))
+
+    def learnt(subject: Subject) -> Paint:
+        z = codec.encode(subject.rings)
+        return lambda points: codec.decode(points, z)
+
+    return learnt
 
 
-def vertex_colours(subject: Subject) -> Float32[Any, "P 3"]:
+def vertex_colours(subject: Subject) -> Paint:
     """The texture's colour at each vertex, interpolated over the faces."""
     mesh, triangulation = subject.mesh, subject.triangulation
     vertices, corners = np.unique(triangulation.faces, return_index=True)
     points = SurfacePoints(corners // 3, np.eye(3)[corners % 3])
     colors = np.zeros((len(triangulation.vertices), 3), np.float32)
     colors[vertices] = surface_colors(mesh, transfer(points, *triangulation, mesh.vertices, mesh.faces))
-    return np.einsum("pkc,pk->pc", colors[subject.points.vertices], subject.points.barycentrics)
+    return lambda points: np.einsum("pkc,pk->pc", colors[points.vertices], points.barycentrics)
 
 
 def frame_components(images: ImageRings) -> Method:
@@ -90,10 +95,11 @@ def components(images: ImageRings) -> Method:
     """Principal components of coloured patches: no code that is linear in its ring keeps more."""
     fitted = fit_components(images)
 
-    def colored(subject: Subject) -> Float32[Any, "P 3"]:
-        return np.asarray(decode(fitted, encode(fitted, subject.rings), subject.points))
+    def learnt(subject: Subject) -> Paint:
+        z = encode(fitted, subject.rings)
+        return lambda points: np.asarray(decode(fitted, z, points))
 
-    return colored
+    return learnt
 
 
 def fit_components(images: ImageRings) -> Components:

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,21 +40,23 @@ class Codec(NamedTuple):
 
     def encode(self, rings: RingSamples) -> Complex64[np.ndarray, "V D"]:
         """The mean code of each one-ring, in the frame of its vertex."""
-
-        def mean(params: Any, chunk: RingSamples) -> jax.Array:
-            return vae.encode(self.config, params, chunk).mean
-
-        return _in_chunks(jax.jit(mean), self.params, rings, RINGS)
+        return _in_chunks(partial(_mean_code, self.config), self.params, rings, RINGS)
 
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
         """Colours in [0, 1]: what the corners of each face predict, blended barycentrically."""
+        return _in_chunks(partial(_blend, self.config), (self.params, jnp.asarray(z)), queries, POINTS)
 
-        def blend(params_z: tuple[Any, jax.Array], chunk: Queries) -> jax.Array:
-            params, z = params_z
-            predicted = vae.decode(self.config, params, chunk.logs, z[chunk.vertices])
-            return jnp.clip(jnp.einsum("pk,pkc->pc", chunk.barycentrics, predicted), 0, 1)
 
-        return _in_chunks(jax.jit(blend), (self.params, jnp.asarray(z)), queries, POINTS)
+@partial(jax.jit, static_argnums=0)
+def _mean_code(config: FLVAE, params: Any, chunk: RingSamples) -> jax.Array:
+    return vae.encode(config, params, chunk).mean
+
+
+@partial(jax.jit, static_argnums=0)
+def _blend(config: FLVAE, params_z: tuple[Any, jax.Array], chunk: Queries) -> jax.Array:
+    params, z = params_z
+    predicted = vae.decode(config, params, chunk.logs, z[chunk.vertices])
+    return jnp.clip(jnp.einsum("pk,pkc->pc", chunk.barycentrics, predicted), 0, 1)
 
 
 def save_codec(path: Path, codec: Codec, card: dict[str, str]) -> None:

@@ -15,14 +15,18 @@ from skimage.metrics import structural_similarity
 from flx.config import Surface
 from flx.mesh.assets import read_asset
 from flx.mesh.copies import make_copy
+from flx.mesh.seams import seam_ratio
 from flx.mesh.texels import fill_gutter, with_filled_gutters
 from flx.pipeline.bake import (
     Baked,
     Canvas,
+    Format,
     bake,
     bake_back,
     open_canvas,
+    prepared_for,
     resized,
+    shown,
     side_by_side,
     write_baked,
     write_png,
@@ -41,10 +45,11 @@ def reconstruct(
     seed: int = 0,
     up: str = "y",
     out: Path | None = None,
+    format: Format = "glb",
 ) -> dict[str, Any]:
     """Send a mesh's texture through the FL-VAE and back onto its own coordinates; return the metrics.
 
-    Writes reconstruction.glb, the atlas, side_by_side.png and metrics.json into `out`.
+    Writes the reconstruction, its atlas, side_by_side.png and metrics.json into `out`.
     """
     judges = installed_judges()
     if not judges:
@@ -53,6 +58,7 @@ def reconstruct(
     asset, codec = read_asset(mesh, texture), load_codec(weights)
     surface = Surface(vertices=vertices, seed=seed)
     copy = make_copy(with_filled_gutters(asset.mesh), vertices, codec.config.samples, surface.slots, seed)
+    asset = prepared_for(asset, format)
     canvas = open_canvas(asset, copy.triangulation, texture_size)
     baked = bake(canvas, codec, codec.encode(copy.rings))
     seconds = time.monotonic() - began
@@ -62,11 +68,13 @@ def reconstruct(
         "mesh": str(mesh),
         "vertices": vertices,
         **fidelity(canvas, baked, judges),
+        "seam_ratio": seam_ratio(shown(asset, baked)),
+        "seam_ratio_input": seam_ratio(asset.mesh),
         "texture_sizes": [list(image.shape[:2]) for image in baked.images],
         "seconds": round(seconds, 2),
         "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
     }
-    write_baked(asset, baked, out / "reconstruction.glb")
+    write_baked(asset, baked, out / f"reconstruction.{format}")
     for index, image in enumerate(baked.images):
         write_png(out / (f"reconstruction_{index}.png" if index else "reconstruction.png"), image)
     write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], up, 512))

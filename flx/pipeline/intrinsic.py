@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import Array
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Float, Float64
 from scipy.sparse.linalg import eigsh
 
 from flx.mesh.copies import transfer
 from flx.mesh.texels import ring_points, surface_colors
 from flx.models.layers import RealMLP
-from flx.pipeline.baselines import Subject
+from flx.pipeline.baselines import Paint, Subject
 from flx.types import Triangulation
 
 EIGENFUNCTIONS = 512  # at most an eighth of the vertices
@@ -30,8 +30,8 @@ SAMPLES = 64  # colours a vertex
 POINTS = 32_768  # coloured at once
 
 
-def intrinsic_field(subject: Subject) -> Float32[Any, "P 3"]:
-    """Train an MLP from eigenfunctions to the texture, and ask it for the points."""
+def intrinsic_field(subject: Subject) -> Paint:
+    """Train an MLP from eigenfunctions to the texture."""
     functions = jnp.asarray(eigenfunctions(subject.triangulation), jnp.float32)
     rng = np.random.default_rng(0)
     points, _ = ring_points(subject.triangulation, SAMPLES, rng)
@@ -50,8 +50,7 @@ def intrinsic_field(subject: Subject) -> Float32[Any, "P 3"]:
 
         return jax.lax.map(one, (corners, barycentrics), batch_size=POINTS)
 
-    asked = subject.points
-    return np.asarray(colors(jnp.asarray(asked.vertices), jnp.asarray(asked.barycentrics)))
+    return lambda points: np.asarray(colors(jnp.asarray(points.vertices), jnp.asarray(points.barycentrics)))
 
 
 def eigenfunctions(triangulation: Triangulation) -> Float64[Any, "V N"]:

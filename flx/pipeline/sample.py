@@ -13,8 +13,19 @@ from flx.config import FLDMExperiment
 from flx.fields import ddpm
 from flx.fields.algebra import tangent_noise
 from flx.mesh.assets import read_asset
+from flx.mesh.seams import seam_ratio
 from flx.models.denoiser import denoise, schedule
-from flx.pipeline.bake import Baked, bake, open_canvas, side_by_side, write_baked, write_png
+from flx.pipeline.bake import (
+    Baked,
+    Format,
+    bake,
+    open_canvas,
+    prepared_for,
+    shown,
+    side_by_side,
+    write_baked,
+    write_png,
+)
 from flx.pipeline.codec import load_codec
 from flx.pipeline.learn import asset_file, denoiser, latent_scaling, load_copies
 from flx.pipeline.prepare import open_cache, prepare
@@ -32,8 +43,9 @@ def sample(
     steps: int = 50,
     texture_size: int | None = None,
     out: Path | None = None,
+    format: Format = "glb",
 ) -> Path:
-    """Write `count` variations as GLB and PNG, a contact sheet and samples.json; return their folder.
+    """Write `count` variations in a format and as PNG, a contact sheet and samples.json; return their folder.
 
     Variation n hangs on the seed and n alone: more of them, or a second call, change none. Each file is
     there whole or not at all. Raises ValueError where the folder is not a trained FLDM run.
@@ -59,6 +71,7 @@ def sample(
         start = tangent_noise(of_start, (len(home.latents), model.latents))
         return ddpm.reverse(lambda z, t: denoise(network, params, tables, z, t), table, start, of_steps)
 
+    asset = prepared_for(asset, format)
     canvas = open_canvas(asset, home.triangulation, texture_size)
     out = out or run.samples
     variations: list[Baked] = []
@@ -66,7 +79,7 @@ def sample(
         key = jax.random.fold_in(jax.random.key(seed), n)
         z = np.asarray(draw(state.ema, home.tables, key))
         baked = bake(canvas, codec, scaling.to_latents(z))
-        write_baked(asset, baked, out / f"variation_{n:02d}.glb")
+        write_baked(asset, baked, out / f"variation_{n:02d}.{format}")
         for k, image in enumerate(baked.images):
             if not asset.textures[k].flat:
                 suffix = f"_{k}" if len(baked.images) > 1 else ""
@@ -81,7 +94,9 @@ def sample(
         "sampler": sampler,
         "steps": len(table.t),
         "vertices": surface.vertices,
-        "files": [f"variation_{n:02d}.glb" for n in range(count)],
+        "seam_ratios": [seam_ratio(shown(asset, baked)) for baked in variations],
+        "seam_ratio_input": seam_ratio(asset.mesh),
+        "files": [f"variation_{n:02d}.{format}" for n in range(count)],
     }
     write_atomically(out / "samples.json", (json.dumps(record, indent=2) + "\n").encode())
     return out

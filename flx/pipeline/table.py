@@ -20,7 +20,7 @@ from flx.mesh.assets import Asset, read_asset
 from flx.mesh.copies import sample_rings
 from flx.mesh.texels import with_filled_gutters
 from flx.mesh.triangulations import remesh
-from flx.pipeline.bake import open_canvas, painted
+from flx.pipeline.bake import chunks, open_canvas, painted
 from flx.pipeline.baselines import (
     Method,
     Subject,
@@ -102,9 +102,9 @@ def reconstruction_table(
             for name in missing:
                 method = makers[name]
                 began = time.monotonic()
-                colors = method(Subject(mesh, triangulation, rings, canvas.points))
+                baked = painted(canvas, map(method(Subject(mesh, triangulation, rings)), chunks(canvas)))
                 seconds = round(time.monotonic() - began, 2)
-                measured = fidelity(canvas, painted(canvas, colors), judges)
+                measured = fidelity(canvas, baked, judges)
                 new = wanted[path, count, name]
                 row = {"mesh": path, "method": name, "vertices": count, **measured}
                 found[new] = {**row, "seconds": seconds, "key": new}

@@ -1,0 +1,187 @@
+"""Laws of what is written: read back by another reader it is the same; a failed write leaves the old file."""
+
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from shapes import icosphere
+
+from flx.mesh.assets import read_asset, write_glb, write_glb_colors
+from flx.mesh.exports import write_obj, write_obj_colors, write_ply_colors
+from flx.mesh.gltf import read_gltf
+from flx.mesh.seams import seam_ratio
+from flx.mesh.texels import atlas_texels, surface_colors
+from flx.mesh.unwrap import is_unwrappable, unwrapped
+from flx.pipeline.bake import prepared_for, write_png
+
+# A tetrahedron; the first half shows an image that has alpha, the second another image, one face a colour.
+OBJ = """mtllib m.mtl
+v 0.1 0 0
+v 1 0 0
+v 0 1 0.30000000000000004
+v 0 0 1.1
+vt 0.1 0.2
+vt 0.9 0.3
+vt 0.4 0.75
+o first
+usemtl skin
+f 1/1 3/2 2/3
+f 1/2 2/1 4/3
+o second
+usemtl bone white
+f 1/1 4/1 3/2
+usemtl plain
+f 2/1 3/3 4/2
+"""
+MTL = "newmtl skin\nmap_Kd a.png\nnewmtl bone white\nmap_Kd b.png\nnewmtl plain\nKd 0.2 0.4 0.6\n"
+
+
+def textured(folder: Path) -> Path:
+    Image.new("RGBA", (8, 4), (10, 20, 30, 77)).save(folder / "a.png")
+    Image.fromarray(np.full((6, 6), 257 * 90, np.uint16)).save(folder / "b.png")
+    (folder / "m.mtl").write_text(MTL)
+    (folder / "mesh.obj").write_text(OBJ)
+    return folder / "mesh.obj"
+
+
+def colored(folder: Path) -> Path:
+    """A sphere with smooth vertex colours and normals, as PLY."""
+    vertices, faces = icosphere(2)
+    colors = np.rint(127 * (vertices + 1)).astype(np.uint8)
+    mesh = trimesh.Trimesh(vertices.astype(np.float32), faces, vertex_colors=colors, process=False)
+    (folder / "ball.ply").write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=True))
+    return folder / "ball.ply"
+
+
+def test_an_obj_is_read_back_with_the_same_corners_names_and_images(tmp_path):
+    asset = read_asset(textured(tmp_path))
+    rng = np.random.default_rng(0)
+    new = [rng.integers(0, 256, (16, 8, 3), np.uint8) for _ in asset.textures]
+    (tmp_path / "out").mkdir()
+    write_obj(asset, new, tmp_path / "out" / "new.obj")
+    names = {"new.obj", "new.mtl", "new_0.png", "new_1.png"}  # none for the flat colour
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    again = read_asset(tmp_path / "out" / "new.obj")
+    assert {p.name for p in again.paints} >= {"skin", "bone_white", "plain"}
+
+    def corners(a) -> np.ndarray:
+        rows = [a.mesh.vertices[a.mesh.faces], a.mesh.corner_uvs]
+        middle = surface_colors(a.mesh, atlas_points(a.mesh))  # which image each face shows
+        return np.concatenate([*rows, np.repeat(middle[:, None], 3, 1)], -1).reshape(-1, 8)
+
+    def atlas_points(mesh):
+        from flx.types import SurfacePoints
+
+        return SurfacePoints(np.arange(len(mesh.faces)), np.full((len(mesh.faces), 3), 1 / 3))
+
+    order = [[t.name for t in asset.textures].index(n) for n in ("a.png", "b.png", "plain")]
+    new[order[2]] = asset.mesh.textures[order[2]]  # a flat material keeps its colour
+    expected = corners(asset._replace(mesh=asset.mesh._replace(textures=tuple(new))))
+    found = corners(again)
+    by_place = [np.lexsort(np.round(rows, 9).T) for rows in (found, expected)]
+    np.testing.assert_allclose(found[by_place[0]], expected[by_place[1]], atol=1e-12)
+    np.testing.assert_array_equal(found[by_place[0], :3], expected[by_place[1], :3])
+    alphas = {t.name: t.alpha for t in again.textures}
+    assert (alphas["new_0.png"] == 77).all() and alphas["new_1.png"] is None
+
+
+def test_a_glb_goes_out_as_an_obj_where_its_nodes_put_it(tmp_path):
+    write_glb(asset := read_asset(textured(tmp_path)), asset.mesh.textures, tmp_path / "a.glb")
+    moved = read_gltf(tmp_path / "a.glb")
+    moved.document["nodes"][0]["translation"] = [1, 2, 3]
+    from flx.mesh.glb import glb_bytes
+
+    (tmp_path / "b.glb").write_bytes(glb_bytes(moved))
+    source = read_asset(tmp_path / "b.glb")
+    write_obj(source, source.mesh.textures, tmp_path / "out.obj")
+    there = read_asset(tmp_path / "out.obj").mesh
+    assert there.vertices.min(0).tolist() == [1, 2, 3] and len(there.faces) == 4
+
+
+@pytest.mark.parametrize("format", ["obj", "ply"])
+def test_vertex_colours_are_read_back_by_trimesh(tmp_path, format):
+    asset = read_asset(colored(tmp_path))
+    colors = np.random.default_rng(0).integers(0, 256, (162, 3)).astype(np.float32) / 255
+    write = write_obj_colors if format == "obj" else write_ply_colors
+    write(asset, colors, tmp_path / f"out.{format}")
+    found = trimesh.load_mesh(tmp_path / f"out.{format}", process=False, maintain_order=True)
+    np.testing.assert_array_equal(found.vertices, asset.parts[0].positions)
+    np.testing.assert_array_equal(found.faces, asset.parts[0].faces)
+    np.testing.assert_array_equal(found.visual.vertex_colors[:, :3], np.rint(colors * 255))
+    np.testing.assert_allclose(found.vertex_normals, asset.parts[0].normals, atol=1e-6)
+    again = read_asset(tmp_path / f"out.{format}")
+    np.testing.assert_array_equal(again.mesh.vertices, asset.mesh.vertices)
+
+
+@pytest.mark.parametrize("name", ["out.glb", "out.obj", "out.ply", "out.png"])
+def test_a_write_that_fails_half_way_leaves_the_old_file_and_nothing_else(tmp_path, name):
+    """The system itself breaks the write: no file may grow beyond 1,000 bytes."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    asset, path = read_asset(colored(tmp_path / "in")), tmp_path / "out" / name
+    path.write_bytes(b"old")
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    writers = {
+        ".glb": lambda: write_glb_colors(asset, np.zeros((162, 3), np.float32), path),
+        ".obj": lambda: write_obj_colors(asset, np.zeros((162, 3), np.float32), path),
+        ".ply": lambda: write_ply_colors(asset, np.zeros((162, 3), np.float32), path),
+        ".png": lambda: write_png(path, noise),
+    }
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, old[1]))
+    try:
+        with pytest.raises(OSError):
+            writers[path.suffix]()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    assert path.read_bytes() == b"old" and list((tmp_path / "out").iterdir()) == [path]
+    writers[path.suffix]()
+    assert len(path.read_bytes()) > 1000
+
+
+def test_a_ply_is_not_written_from_textures(tmp_path):
+    with pytest.raises(ValueError, match=r"mesh\.obj has textures.*--format glb or obj"):
+        prepared_for(read_asset(textured(tmp_path)), "ply")
+
+
+# --- unwrapping
+
+
+def test_without_xatlas_one_line_says_how_to_install_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(__import__("sys").modules, "xatlas", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    asset = read_asset(colored(tmp_path))
+    with pytest.raises(ValueError, match=r"ball\.ply has no texture coordinates; pip install 'flx\[uv\]'"):
+        unwrapped(asset)
+    assert prepared_for(asset, "ply") is asset and capsys.readouterr().err == ""
+    assert prepared_for(asset, "glb") is asset
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "pip install 'flx[uv]'" in said
+
+
+@pytest.mark.parametrize("through_a_run", [False, True])
+def test_an_unwrapped_mesh_shows_its_vertex_colours_on_the_same_triangles(tmp_path, through_a_run):
+    pytest.importorskip("xatlas", reason="xatlas is not installed: pip install 'flx[uv]'")
+    asset = first = read_asset(colored(tmp_path))
+    if through_a_run:  # a run keeps its asset as a GLB
+        write_glb_colors(first, first.parts[0].colors, tmp_path / "run.glb")
+        asset = read_asset(tmp_path / "run.glb")
+    assert is_unwrappable(asset)
+    charted = prepared_for(asset, "glb")
+    assert not is_unwrappable(charted) and charted.digest == asset.digest
+    atlas = atlas_texels(charted.mesh, 0, *charted.mesh.textures[0].shape[:2])
+    assert len(np.unique(atlas.faces)) == len(asset.mesh.faces) + 1  # every face, and the gutter
+    write_glb(charted, charted.mesh.textures, tmp_path / "out.glb")
+    again = read_asset(tmp_path / "out.glb")
+    np.testing.assert_allclose(
+        again.mesh.vertices[again.mesh.faces], asset.mesh.vertices[asset.mesh.faces], atol=1e-7
+    )
+    points = atlas.points
+    seen, wanted = surface_colors(again.mesh, points), surface_colors(asset.mesh, points)
+    assert np.ptp(wanted) > 0.8 and np.abs(seen - wanted).max() < 2 / 255
+    assert seam_ratio(again.mesh) == pytest.approx(1, abs=0.3)
+    primitive = read_gltf(tmp_path / "out.glb").document["meshes"][0]["primitives"][0]
+    assert set(primitive["attributes"]) == {"POSITION", "NORMAL", "TEXCOORD_0"}
