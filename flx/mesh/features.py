@@ -20,11 +20,12 @@ def features(
     """Which edges are features, and how free each vertex is: 0 on a face, 1 on a curve, 2 at a corner."""
     feature = topo.boundary.copy()
     normals = unit(area_normals(vertices, faces))
-    left, right = topo.corners[~feature].T // 3
-    sharp = np.flatnonzero(~feature)[dot(normals[left], normals[right]) < CREASE]
+    inner = np.flatnonzero(~feature)
+    left, right = (np.take(normals, topo.corners[inner, side] // 3, 0) for side in range(2))
+    sharp = inner[dot(left, right) < CREASE]
     feature[long_curves(topo.edges[sharp], np.ones(len(sharp)), len(vertices), least, sharp)] = True
     degree = np.bincount(topo.edges[feature].ravel(), minlength=len(vertices))
-    kind = np.where(degree == 0, 0, np.where(degree == 2, 1, 2))
+    kind = np.where(degree < 2, 0, np.where(degree == 2, 1, 2))
     kind[_turns(vertices, topo.edges[topo.boundary])] = 2
     return feature, kind
 

@@ -6,7 +6,7 @@ Features (flx.mesh.features) stay: their vertices move along them only.
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64, Int
 
 from flx.mesh.features import features
 from flx.mesh.topology import Topology, edge_lengths, has_edge, mark, topology
@@ -45,7 +45,8 @@ def split(
     return Triangulation(np.concatenate([vertices, points]), np.concatenate(parts))
 
 
-def _ranks(priority):
+def ranks(priority: Float64[Any, "N"]) -> Int[Any, "N"]:
+    """The place of each in the order of ascending priority."""
     rank = np.empty(len(priority), np.int64)
     rank[np.argsort(priority, kind="stable")] = np.arange(len(priority))
     return rank
@@ -53,7 +54,7 @@ def _ranks(priority):
 
 def _unconnected(topo, count, pairs, priority):
     """A maximal set (nearly) of `pairs` of which no two are joined by an edge, lowest priority first."""
-    (a, b), (u, v), rank = pairs.T, topo.edges.T, _ranks(priority)
+    (a, b), (u, v), rank = pairs.T, topo.edges.T, ranks(priority)
     won, left = [], np.arange(len(pairs))
     for _ in range(3):
         best = np.full(count, len(pairs))
@@ -72,7 +73,7 @@ def _unconnected(topo, count, pairs, priority):
 
 def _disjoint(groups, count, priority):
     """A maximal set (nearly) of groups of which no two share a vertex, lowest priority first."""
-    rank = _ranks(priority)
+    rank = ranks(priority)
     won, left = [], np.arange(len(groups))
     for _ in range(3):
         best = np.full(count, len(groups))
@@ -168,8 +169,8 @@ def _collapses_well(vertices, moved, faces, a, b, longest, bend):
     around = np.flatnonzero((owners >= 0).sum(1) == 1)
     rim, pair = faces[around], owners[around].max(1)
     before, after = area_normals(vertices, rim), area_normals(moved, rim)
-    corners = moved[rim]
-    side = np.stack([length_of(corners[:, k] - corners[:, k - 1]) for k in range(3)]).max(0)
+    corners = [np.take(moved, rim[:, k], 0) for k in range(3)]
+    side = np.maximum.reduce([length_of(corners[k] - corners[k - 1]) for k in range(3)])
     bad = (dot(before, after) <= bend * length_of(before) * length_of(after)) | (side > longest)
     return ~mark(len(a), pair[bad])
 

