@@ -166,14 +166,19 @@ def evaluate(
     print(markdown(rows), end="")
 
 
-def bench() -> None:
+def bench(path: Positional[Path | None] = None, /, mesh: bool = False, texture: Path | None = None) -> None:
     """Time this machine and print one JSON object.
 
-    Example: flx bench > bench.json
-    """
-    from flx.pipeline.bench import denoiser_rows, machine
+    Example: flx bench --mesh > bench.json
 
-    print(_json({"rows": denoiser_rows(), "machine": machine()}))
+    Args:
+        path: A .glb, .gltf, .obj or .ply file for --mesh; the vase that flx makes itself unless given.
+        mesh: Time the geometry (CPU seconds) instead of the networks.
+        texture: An image to use instead of the file's own.
+    """
+    from flx.pipeline.bench import denoiser_rows, machine, mesh_rows
+
+    print(_json({"rows": mesh_rows(path, texture) if mesh else denoiser_rows(), "machine": machine()}))
 
 
 def train(arguments: Sequence[str]) -> None:

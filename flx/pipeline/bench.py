@@ -3,6 +3,7 @@
 import os
 import platform
 import statistics
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,10 @@ from scipy.spatial import ConvexHull
 from flx.config import FLDM
 from flx.fields.algebra import tangent_noise
 from flx.fields.convolution import Filter
+from flx.mesh.assets import read_asset
 from flx.mesh.tables import mesh_tables
+from flx.mesh.timings import geometry_rows
+from flx.mesh.vase import write_vase
 from flx.models.denoiser import Blocks, Denoiser
 from flx.types import MeshTables, Triangulation
 
@@ -36,6 +40,16 @@ def denoiser_rows(repeats: int = 5) -> list[dict[str, Any]]:
         )
         for filter in ("harmonic", "mlp")
     ]
+
+
+def mesh_rows(path: Path | None, texture: Path | None = None) -> list[dict[str, Any]]:
+    """The stages of the geometry on a mesh file, or on the vase."""
+    if path is not None:
+        return geometry_rows(read_asset(path, texture).mesh)
+    with tempfile.TemporaryDirectory() as folder:
+        vase = Path(folder) / "vase.glb"
+        write_vase(vase)
+        return geometry_rows(read_asset(vase).mesh)
 
 
 def machine() -> dict[str, Any]:

@@ -1,0 +1,49 @@
+"""Boundaries and creases: the curves that remeshing keeps."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from flx.mesh.topology import Topology
+from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
+
+CREASE = np.cos(np.radians(60.0))  # faces that bend more than 60° meet in a crease
+CURVE = 4  # edges in the shortest crease
+
+
+def features(
+    vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], topo: Topology, least: int = CURVE
+) -> tuple[Bool[Any, "E"], Int[Any, "V"]]:
+    """Which edges are features, and how free each vertex is: 0 on a face, 1 on a curve, 2 at a corner."""
+    feature = topo.boundary.copy()
+    normals = unit(area_normals(vertices, faces))
+    inner = np.flatnonzero(~feature)
+    left, right = (np.take(normals, topo.corners[inner, side] // 3, 0) for side in range(2))
+    sharp = inner[dot(left, right) < CREASE]
+    feature[long_curves(topo.edges[sharp], np.ones(len(sharp)), len(vertices), least, sharp)] = True
+    degree = np.bincount(topo.edges[feature].ravel(), minlength=len(vertices))
+    kind = np.where(degree < 2, 0, np.where(degree == 2, 1, 2))
+    kind[_turns(vertices, topo.edges[topo.boundary])] = 2
+    return feature, kind
+
+
+def _turns(vertices, rim):
+    """Boundary vertices where the boundary turns by more than 60°."""
+    if not len(rim):
+        return []
+    a, b = rim.T
+    along = unit(vertices[b] - vertices[a])
+    turn = sum_at(a[:, None], along, len(vertices)) - sum_at(b[:, None], along, len(vertices))
+    return np.flatnonzero(length_of(turn) > 1)
+
+
+def long_curves(
+    edges: Int[Any, "N 2"], lengths: Float64[Any, "N"], count: int, least: float | int, ids: Int[Any, "N"]
+) -> Int[Any, "n"]:
+    """The `ids` of edges in connected curves at least `least` long: sharp specks of a scan are no creases."""
+    graph = coo_array((np.ones(len(edges), bool), tuple(edges.T)), (count, count))
+    curve = connected_components(graph, directed=False)[1][edges[:, 0]]
+    return ids[np.bincount(curve, lengths)[curve] >= least] if len(ids) else ids

@@ -1,0 +1,100 @@
+"""Smoothing a mesh without leaving the surface it stands for."""
+
+from typing import Any
+
+import igl
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+
+from flx.mesh.features import CURVE, features, long_curves
+from flx.mesh.topology import edge_lengths, mark, topology
+from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
+from flx.types import Triangulation
+
+
+class Surface:
+    """The surface to stay on, for a mesh of edges of `length`: its faces, its boundary and its creases."""
+
+    def __init__(self, vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], length: float):
+        topo = topology(faces, len(vertices))
+        feature = features(vertices, faces, topo, 1)[0]
+        creases = np.flatnonzero(feature & ~topo.boundary)
+        lengths = edge_lengths(vertices, topo)[creases]
+        creases = long_curves(topo.edges[creases], lengths, len(vertices), CURVE * length, creases)
+        self.vertices, self.faces, self.length = vertices, faces, length
+        self.normals = unit(area_normals(vertices, faces))
+        self.tree = igl.AABB()
+        self.tree.init(vertices, faces)
+        self.boundary = np.ascontiguousarray(topo.edges[topo.boundary])
+        self.creases = np.ascontiguousarray(topo.edges[creases])
+
+    def land(
+        self,
+        points: Float64[Any, "N 3"],
+        normals: Float64[Any, "N 3"],
+        kind: Int[Any, "N"],
+        rim: Bool[Any, "N"],
+    ) -> tuple[Float64[Any, "N 3"], Bool[Any, "N"]]:
+        """Closest points: of features on the features, of boundaries (`rim`) on the boundary, else on faces.
+
+        Also whether they are to be trusted: on a thin wall the closest point may be the far side's, whose
+        normal is another.
+        """
+        _, face, closest = self.tree.squared_distance(self.vertices, self.faces, np.ascontiguousarray(points))
+        landed, trusted = np.asarray(closest), dot(self.normals[np.asarray(face)], normals) > 0.3
+        # The normal of a feature vertex says little.
+        trusted |= rim | ((kind > 0) & (length_of(landed - points) < 0.5 * self.length))
+        for curve, members, reach in (
+            (self.creases, np.flatnonzero((kind > 0) & ~rim), 0.5 * self.length),
+            (self.boundary, np.flatnonzero(rim), self.length),
+        ):
+            if len(curve) and len(members):
+                square, _, closest = igl.point_mesh_squared_distance(points[members], self.vertices, curve)
+                near = np.asarray(square) < reach**2
+                landed[members[near]] = np.asarray(closest)[near]
+                trusted[members[near]] = True
+        return landed, trusted
+
+    def vertex_normals(self) -> Float64[Any, "V 3"]:
+        """Unit normals of the surface's vertices, its faces weighted by area."""
+        normals = area_normals(self.vertices, self.faces)
+        return unit(sum_at(self.faces, normals, len(self.vertices)))
+
+
+def smooth(mesh: Triangulation, surface: Surface, passes: int) -> Triangulation:
+    """Move each vertex towards the area-weighted centroid of its faces, or along its curve; project back."""
+    vertices, faces = mesh
+    count = len(vertices)
+    topo = topology(faces, count)
+    edge_of_surface = mark(count, topo.edges[topo.boundary].ravel())
+    for _ in range(passes):
+        feature, kind = features(vertices, faces, topo)
+        normals = area_normals(vertices, faces)
+        area = length_of(normals)
+        a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
+        centroids = (a + b + c) * (area / 3)[:, None]
+        vertex_normals = unit(sum_at(faces, normals, count))
+        weight = np.bincount(faces.ravel(), np.repeat(area, 3), count)
+        step = sum_at(faces, centroids, count) / np.maximum(weight, 1e-300)[:, None] - vertices
+        step -= dot(step, vertex_normals)[:, None] * vertex_normals
+        a, b = topo.edges[feature].T
+        along = sum_at(a[:, None], vertices[b], count) + sum_at(b[:, None], vertices[a], count)
+        step[kind == 1] = along[kind == 1] / 2 - vertices[kind == 1]
+        step[kind == 2] = 0
+        wanted = vertices + 0.6 * step
+        moved, landed = surface.land(wanted, vertex_normals, kind, edge_of_surface)
+        moved[~landed] = vertices[~landed]
+        vertices = _without_folds(vertices, moved, faces, normals)
+    return Triangulation(vertices, faces)
+
+
+def _without_folds(vertices, moved, faces, normals):
+    """Take back the moves that turn a face over or leave it a tenth of the mean area."""
+    area = length_of(normals)
+    least = np.minimum(0.1 * area.mean(), 0.9 * area)
+    while True:
+        folded = dot(unit(normals), area_normals(moved, faces)) < least
+        back = faces[folded].ravel()
+        if (moved[back] == vertices[back]).all():
+            return moved
+        moved[back] = vertices[back]

@@ -1,0 +1,195 @@
+"""Laws on thin, spiky, open and many-part surfaces: nothing is lost, nothing jumps to the other side."""
+
+import igl
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_tangent import grid_faces
+from test_triangulations import (
+    assert_sound,
+    boundary_loops,
+    box,
+    components,
+    distances,
+    edge_length,
+    min_angles,
+    sphere,
+    square_with_hole,
+)
+
+from flx.mesh.copies import queries, sample_rings
+from flx.mesh.repair import repair
+from flx.mesh.tables import mesh_tables, one_rings
+from flx.mesh.tangent import mean_vertex_radius, tangent_frames
+from flx.mesh.triangulations import remesh
+from flx.types import SurfacePoints, TexturedMesh, Triangulation
+
+BLUE, RED = np.array([0.1, 0.2, 0.9], np.float32), np.array([0.9, 0.3, 0.1], np.float32)
+DEPTH = 16
+
+
+def sleeve(thickness: float, around: int = 48) -> TexturedMesh:
+    """A cup without a bottom, radius 1, depth 1.6: blue inside, red outside, its walls joined at the rim."""
+    rows = 2 * DEPTH + 1
+    row, column = np.divmod(np.arange(rows * around), around)
+    radius, turn = 1 + thickness / 2 * np.sign(row - DEPTH), column * 2 * np.pi / around
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), -0.1 * np.abs(row - DEPTH)], axis=1)
+    faces = grid_faces(rows, around, close_columns=True)
+    a, b, c = points[faces.transpose()]
+    outward = (np.cross(b - a, c - a)[:, :2] * a[:, :2]).sum(1) > 0
+    if outward[row[faces].max(1) < DEPTH].any():
+        faces = faces[:, ::-1]
+    inside = row[faces].min(1) < DEPTH
+    colors = np.where(inside[:, None, None], BLUE, RED).repeat(3, 1).astype(np.float32)
+    return TexturedMesh(
+        points, faces, np.zeros((*faces.shape, 2)), np.zeros(len(faces), np.int64), (), colors
+    )
+
+
+def walls(points: np.ndarray) -> np.ndarray:
+    """+1 outside, −1 inside."""
+    return np.sign(np.linalg.norm(points[..., :2], axis=-1) - 1)
+
+
+@pytest.mark.parametrize("thickness", [0.1, 0.02])
+def test_nothing_jumps_through_a_thin_wall(thickness):
+    """Walls of 0.6 edges and of an eighth: projection, colours, queries and pooling keep to their side."""
+    mesh = sleeve(thickness)
+    copy = remesh(mesh.vertices, mesh.faces, 900, seed=0)
+    h = edge_length(copy)
+    assert thickness < 0.65 * h
+    assert_sound(copy)
+    assert components(copy.faces) == 1 and boundary_loops(copy.faces) == 2
+    assert np.abs(np.ptp(copy.vertices[:, 2]) - 1.6) < 0.2 * h  # the rim is still up there
+    apart = distances(copy.vertices, Triangulation(mesh.vertices, mesh.faces))
+    wall = walls(copy.vertices)
+    deep = np.abs(copy.vertices[:, 2] + 0.8) < 0.8 - 2.5 * h  # from the rim, and from the open end
+    assert apart[deep].max() < 1e-9 and apart.max() < thickness / 2
+    ring = copy.faces[deep[copy.faces].all(1)]
+    assert len(ring) > 300 and {-1.0, 1.0} == set(wall[deep])
+    assert (wall[ring] == wall[ring[:, :1]]).all()
+
+    rings = sample_rings(mesh, copy, 8, seed=0)
+    painted = np.where(wall[:, None] > 0, RED, BLUE)[:, None].repeat(8, 1)
+    np.testing.assert_allclose(rings.colors[deep], painted[deep], atol=1e-6)
+
+    middles = SurfacePoints(np.arange(len(mesh.faces)), np.full((len(mesh.faces), 3), 1 / 3))
+    asked = queries(mesh, middles, copy)
+    where = mesh.vertices[mesh.faces].mean(1)
+    below = np.abs(where[:, 2] + 0.8) < 0.8 - 2.5 * h
+    side = np.where(mesh.corner_colors[:, 0, 0] > 0.5, 1, -1)
+    assert (wall[asked.vertices] == side[:, None])[below].all()
+
+    pooling = mesh_tables(copy).pooling
+    lower = np.abs(copy.vertices[:, 2] + 0.8) < 0.8 - 4 * h
+    assert (wall[pooling.centers[pooling.parents]] == wall)[lower].all()
+
+
+def moebius(around: int = 60, across: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    u, t = np.divmod(np.arange(around * (across + 1)), across + 1)
+    turn, side = 2 * np.pi * u / around, (t / across - 0.5) * 0.8
+    ring = 1 + side * np.cos(turn / 2)
+    points = np.stack([ring * np.cos(turn), ring * np.sin(turn), side * np.sin(turn / 2)], 1)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
+
+    def at(i, j):
+        return np.where(i < around, i * (across + 1) + j, across - j)
+
+    a, b, c, d = at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)
+    return points, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def soup(mesh: Triangulation) -> tuple[np.ndarray, np.ndarray]:
+    """Every face with corners of its own."""
+    return mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(mesh.faces.size).reshape(-1, 3)
+
+
+def three_touching_boxes() -> tuple[np.ndarray, np.ndarray]:
+    """Two share an edge, the third a corner."""
+    cube = box(1.0, 1.0, 1.0)
+    count = len(cube.vertices)
+    points = np.concatenate([cube.vertices, cube.vertices + np.array([1, 1, 0]), cube.vertices - 1])
+    return points, np.concatenate([cube.faces + k * count for k in range(3)])
+
+
+@pytest.mark.parametrize(
+    ("name", "parts", "loops", "euler"),
+    [("moebius", 1, 1, 1), ("soup", 1, 0, 2), ("boxes", 3, 0, 6)],
+)
+def test_twisted_split_and_touching_meshes_are_repaired_and_remeshed(name, parts, loops, euler):
+    """A Möbius strip is cut across once, where its orientations meet: a strip of one boundary."""
+    made = {"moebius": moebius, "soup": lambda: soup(sphere(3)), "boxes": three_touching_boxes}[name]()
+    whole = repair(*made)
+    copy = remesh(whole.vertices, whole.faces, 700, seed=0)
+    assert len(copy.vertices) == 700
+    assert_sound(copy)
+    assert (components(copy.faces), boundary_loops(copy.faces)) == (parts, loops)
+    assert igl.euler_characteristic(copy.faces) == euler
+    assert np.percentile(min_angles(copy), 1) > 35
+
+
+def test_sheets_keep_every_hole_and_parts_smaller_than_a_ring_stay():
+    """A sheet with a hole, beside a tetrahedron and a triangle a hundredth of its size."""
+    sheet = square_with_hole()
+    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.01
+    tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    count = len(sheet.vertices)
+    points = np.concatenate([sheet.vertices, corner + np.array([0, 0, 1]), corner[:3] + np.array([0, 0, 2])])
+    faces = np.concatenate([sheet.faces, tetrahedron + count, [[count + 4, count + 5, count + 6]]])
+    copy = remesh(points, faces, 600, seed=0)
+    assert len(copy.vertices) == 600
+    assert_sound(copy)
+    assert components(copy.faces) == 3 and boundary_loops(copy.faces) == 3
+    heights = np.round(copy.vertices[copy.faces].mean(1)[:, 2])
+    assert (heights == 1).sum() >= 4 and (heights == 2).sum() >= 1
+    pooling = mesh_tables(copy).pooling
+    level = np.round(copy.vertices[:, 2])
+    assert (level[pooling.centers[pooling.parents]] == level).all()
+
+
+@settings(max_examples=20)
+@given(st.integers(3, 160), st.booleans(), st.floats(0, 3), st.integers(0, 10**6))
+def test_rings_of_any_valence_close_or_stay_open(valence, closed, height, seed):
+    """A cone of `valence` spokes: interior angles fill the circle; at a boundary they are left alone."""
+    rng = np.random.default_rng(seed)
+    turn = np.sort(rng.permutation(4 * valence)[:valence]) if not closed else 4 * np.arange(valence)
+    turn = turn * (np.pi / 2 / valence) * (1.0 if closed else 0.7)
+    rim = np.stack([np.cos(turn), np.sin(turn), np.full(valence, -height)], 1)
+    points = np.concatenate([np.zeros((1, 3)), rim])
+    spokes = 1 + np.arange(valence)
+    faces = np.stack([np.zeros(valence, np.int64), spokes, np.roll(spokes, -1)], 1)
+    cone = Triangulation(points, faces if closed else faces[:-1])
+    frames = tangent_frames(cone)
+    rings = one_rings(cone, frames, slots=valence + 1)
+    assert (rings.neighbors[0, 1:] == spokes).all()
+    logs = rings.logs[0, 1:].astype(complex)
+    radius = np.sqrt(1 + height**2) / mean_vertex_radius(cone)
+    np.testing.assert_allclose(np.abs(logs), radius, rtol=1e-5)
+    chords = np.linalg.norm(rim - np.roll(rim, -1, 0), axis=1)
+    angles = 2 * np.arcsin(np.minimum(chords / 2 / np.sqrt(1 + height**2), 1))[: valence if closed else -1]
+    steps = angles * (2 * np.pi / angles.sum()) if closed else angles
+    theta = np.concatenate([[0], np.cumsum(steps)])[:valence]
+    np.testing.assert_allclose(logs, radius * np.exp(1j * theta), atol=1e-4 * radius)
+    with pytest.raises(
+        ValueError, match=f"vertex 0 has {valence} neighbours but the table has {valence} slots"
+    ):
+        one_rings(cone, frames, slots=valence)
+
+
+def test_a_rough_surface_has_no_sharp_corners():
+    """Its grain is finer than the copy; smoothing alone leaves 1.3 % of its faces sharper than 35°."""
+    rock = sphere(5)
+    grain = np.random.default_rng(0).normal(size=(len(rock.vertices), 1))
+    rock = Triangulation(rock.vertices * (1 + 0.012 * grain), rock.faces)
+    angles = min_angles(remesh(*rock, 800, seed=0))
+    assert np.percentile(angles, 1) > 35 and angles.min() > 5
+
+
+def test_spikes_narrower_than_an_edge_are_not_lost():
+    """Half an edge high: smoothing slides off them to the foot."""
+    hedgehog = sphere(4)
+    tips = np.arange(0, len(hedgehog.vertices), 65)
+    hedgehog.vertices[tips] *= 1.06
+    copy = remesh(*hedgehog, 900, seed=0)
+    assert distances(hedgehog.vertices[tips], copy).max() < 0.43 * edge_length(copy)
