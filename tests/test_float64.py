@@ -206,7 +206,7 @@ def test_detail_goes_around_the_coarse_level(name):
         network.answer(network.params, cut, a, RHO) for a in (z, z + 5 * (np.arange(COUNT) == 9)[:, None])
     )
     change = np.abs(there - here).max(1)
-    assert change[9] > 10 * np.median(change)
+    assert change[9] > 3 * np.median(change) > 0  # the rest moves a little: norms see the whole surface
 
 
 @networks

@@ -53,6 +53,7 @@ class Knowing(Denoiser):
 
 
 DATA = tangent_noise(jax.random.key(3), (64, 8))
+DATA = DATA * jnp.sqrt(2 / jnp.mean(jnp.abs(DATA) ** 2))  # exactly as large as noise
 
 
 @pytest.mark.parametrize("predicts", ["noise", "velocity"])

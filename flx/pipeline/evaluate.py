@@ -52,8 +52,6 @@ def reconstruct(
     Writes the reconstruction, its atlas, side_by_side.png and metrics.json into `out`.
     """
     judges = installed_judges()
-    if not judges:
-        print(f"flx: {HINT}", file=sys.stderr)
     began = time.monotonic()
     asset, codec = read_asset(mesh, texture), load_codec(weights)
     surface = Surface(vertices=vertices, seed=seed)
@@ -79,6 +77,8 @@ def reconstruct(
         write_png(out / (f"reconstruction_{index}.png" if index else "reconstruction.png"), image)
     write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], up, 512))
     write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
+    if not judges:
+        print(f"flx: {HINT}", file=sys.stderr)
     return metrics
 
 
