@@ -11,7 +11,7 @@ from flx.config import FLDM, FLDMExperiment, Surface, Train
 config = FLDMExperiment(
     name="bowl",
     model=FLDM(network="mixed", channels=48, predicts="velocity", precision="float32"),
-    surface=Surface(vertices=10_000, copies=8, up="z"),
+    surface=Surface(path="akita_black_bowl.obj", vertices=10_000, copies=8, up="z"),
     train=Train(
         steps=3000,
         batch=1,

@@ -34,7 +34,7 @@ class FLDM:
     latents: int = 8  # this and the next are the FL-VAE's when a mesh is learnt
     invariants: int = 0
     channels: int = 96  # of the fine level; the coarse level has twice as many
-    filter: Literal["harmonic", "mlp"] = "harmonic"  # ours, 5x faster; "mlp" is the paper's
+    filter: Literal["harmonic", "mlp"] = "harmonic"  # ours, twice as fast; "mlp" is the paper's
     filter_width: int = 8  # channels inside the filter
     vn_layers: int = 3  # layers of each VN MLP
     embedding: int = 128  # width of the scalar embedding π

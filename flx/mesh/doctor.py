@@ -20,7 +20,7 @@ from flx.mesh.raster import barycentric_planes, pixels_inside
 RASTER = 1024  # pixels on the longer side on which texels are counted
 MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, its repetitions counted
 WITHIN = 1e-6  # least barycentric of a pixel that is one face's own: neighbours share those on their edge
-RING_PIXELS = (10.0, 2000.0)  # in one-rings that the FL-VAE was trained on: 2 to 24 pixels from the vertex
+RING_PIXELS = (7.0, 450.0)  # in one-rings that the FL-VAE was trained on: 1.5 to 12 pixels from the vertex
 COPY_SECONDS = 4e-4  # CPU, for each vertex of a copy: remeshing, tables, colours
 COPY_BYTES = 600  # on disk, for each vertex of a copy: tables and latents
 STEP_SECONDS = 4.5e-7  # for each vertex, channel, block and copy of a training step
