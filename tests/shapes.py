@@ -1,6 +1,7 @@
 """Surfaces that tests share: small, exact, one for each topology."""
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from flx.types import Triangulation
 
@@ -58,3 +59,15 @@ def tetrahedron() -> Triangulation:
     """Four vertices of degree three."""
     vertices = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)])
     return Triangulation(vertices, np.array([(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)]))
+
+
+def random_sphere(count: int, seed: int = 0) -> Triangulation:
+    """The convex hull of `count` random points of the unit sphere, facing outwards."""
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    faces = ConvexHull(points).simplices.astype(np.int64)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    outwards = a - points.mean(0)  # of the hull's inside; few points may all lie to one side of the origin
+    inward = (np.cross(b - a, c - a) * outwards).sum(1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Triangulation(points, faces)

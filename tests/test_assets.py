@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hostile import PLY
 from PIL import Image
 
 from flx.mesh.assets import Asset, read_asset, write_glb, write_glb_colors
@@ -132,29 +133,6 @@ def test_one_image_cannot_replace_two(tmp_path):
     assert len(read_asset(path).mesh.textures) == 2
     with pytest.raises(ValueError, match="2 base colour images"):
         read_asset(path, tmp_path / "b.png")
-
-
-PLY = """ply
-format ascii 1.0
-element vertex 4
-property float x
-property float y
-property float z
-property uchar red
-property uchar green
-property uchar blue
-element face 4
-property list uchar int vertex_indices
-end_header
-0 0 0 255 0 0
-1 0 0 0 255 0
-0 1 0 0 0 255
-0 0 1 9 99 199
-3 0 2 1
-3 0 1 3
-3 0 3 2
-3 1 2 3
-"""
 
 
 def test_vertex_colours_of_a_ply_come_back_from_a_glb(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hostile import OBJ, obj
 from PIL import Image
-from scipy.spatial import ConvexHull
+from shapes import random_sphere
 
 from flx.config import FLDM, FLDMExperiment, Surface, Train
 from flx.launch import main
@@ -67,19 +67,9 @@ def test_polygons_are_cut_and_counted(tmp_path):
     assert "polygons cut" in describe(whole.report) and "polygons cut" not in describe(cut.report)
 
 
-def sphere() -> tuple[np.ndarray, np.ndarray]:
-    points = np.random.default_rng(0).normal(size=(40, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    faces = ConvexHull(points).simplices.astype(np.int64)
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * a).sum(1) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return points, faces
-
-
 @pytest.mark.parametrize("turned, opened", [(False, False), (True, False), (True, True)])
 def test_closed_components_that_look_inwards_are_counted(tmp_path, turned, opened):
-    points, faces = sphere()
+    points, faces = random_sphere(40)
     both = np.concatenate([points + np.array([100, 0, 0]), points - [0, 50, 0]])  # far from the origin
     second = (faces[:, ::-1] if turned else faces)[opened:]
     uvs = (both[:, :2] - both[:, :2].min(0)) / 200
@@ -89,7 +79,7 @@ def test_closed_components_that_look_inwards_are_counted(tmp_path, turned, opene
 
 def test_the_verdict_tells_repairs_and_warnings(tmp_path):
     assert examined(square(tmp_path, 0.5, scale=0.99)).verdict.startswith("flx takes it (as it is)")
-    points, faces = sphere()
+    points, faces = random_sphere(40)
     three = np.concatenate([faces, [[faces[0, 0], faces[0, 1], len(points)]], faces[1:2]])
     asset = save(
         tmp_path, np.vstack([points, 2 * points[:1]]), np.vstack([points, points[:1]])[:, :2] / 4, three

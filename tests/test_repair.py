@@ -4,19 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial import ConvexHull
+from shapes import random_sphere
 
 from flx.mesh.repair import repair, shape
-
-
-def sphere(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    points = np.random.default_rng(seed).normal(size=(count, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    faces = ConvexHull(points).simplices.astype(np.int64)
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    inward = (np.cross(b - a, c - a) * a).sum(1) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return points, faces
 
 
 def soup(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -45,7 +35,7 @@ def corners_agree(points: np.ndarray, faces: np.ndarray, fixed) -> bool:
 
 @given(st.integers(8, 60), st.integers(0, 1000))
 def test_weld_joins_what_a_soup_of_triangles_took_apart(count, seed):
-    points, faces = sphere(count, seed)
+    points, faces = random_sphere(count, seed)
     split_points, split_faces = soup(points, faces)
     jitter = np.random.default_rng(seed).uniform(-1, 1, split_points.shape) * 1e-11
     fixed = repair(split_points + jitter, split_faces)
@@ -57,7 +47,7 @@ def test_weld_joins_what_a_soup_of_triangles_took_apart(count, seed):
 
 
 def test_points_further_apart_than_the_tolerance_stay_apart():
-    points, faces = sphere(30, 0)
+    points, faces = random_sphere(30, 0)
     split_points, split_faces = soup(points, faces)
     fixed = repair(
         split_points + np.random.default_rng(0).normal(size=split_points.shape) * 1e-5, split_faces
@@ -67,7 +57,7 @@ def test_points_further_apart_than_the_tolerance_stay_apart():
 
 @given(st.integers(10, 40), st.integers(0, 1000))
 def test_a_clean_mesh_is_left_alone(count, seed):
-    points, faces = sphere(count, seed)
+    points, faces = random_sphere(count, seed)
     fixed = repair(points, faces)
     assert np.array_equal(fixed.vertices, points) and np.array_equal(fixed.faces, faces)
     assert sum(fixed.repairs) == 0
@@ -75,7 +65,7 @@ def test_a_clean_mesh_is_left_alone(count, seed):
 
 @given(st.integers(0, 1000), st.integers(0, 5), st.integers(0, 5), st.integers(0, 4))
 def test_each_fault_put_in_is_counted_and_taken_out(seed, degenerate, duplicate, unused):
-    points, faces = sphere(25, seed)
+    points, faces = random_sphere(25, seed)
     rng = np.random.default_rng(seed)
     bad = faces[rng.choice(len(faces), degenerate + duplicate)].copy()
     bad[:degenerate, 2] = bad[:degenerate, 0]
@@ -100,7 +90,7 @@ def test_each_fault_put_in_is_counted_and_taken_out(seed, degenerate, duplicate,
 
 
 def test_a_fin_is_cut_from_its_edge():
-    points, faces = sphere(20, 1)
+    points, faces = random_sphere(20, 1)
     fin = np.array([[faces[0, 0], faces[0, 1], len(points)]])
     fixed = repair(np.vstack([points, 2 * points[:1]]), np.vstack([faces, fin]))
     assert fixed.repairs.nonmanifold_edges == 1 and fixed.repairs.split_vertices > 0
@@ -117,7 +107,7 @@ def test_a_bow_tie_vertex_becomes_two():
 
 
 def test_a_turned_face_is_counted_and_cut_not_turned():
-    points, faces = sphere(20, 2)
+    points, faces = random_sphere(20, 2)
     faces[3] = faces[3, ::-1]
     fixed = repair(points, faces)
     assert fixed.repairs.disagreeing_edges == 3
@@ -127,7 +117,7 @@ def test_a_turned_face_is_counted_and_cut_not_turned():
 
 @pytest.mark.parametrize("turn", [[0, 1, 2], [2, 1, 0]])
 def test_a_doubled_ear_is_dropped_and_the_surface_is_whole(turn):
-    points, faces = sphere(20, 3)
+    points, faces = random_sphere(20, 3)
     ear = np.array([faces[0, 0], faces[0, 1], len(points)])
     broken = np.vstack([points, 2 * points[:1]])
     fixed = repair(broken, np.vstack([faces, ear, ear[turn]]))

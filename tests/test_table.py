@@ -92,3 +92,19 @@ def test_colours_reach_the_texels_of_their_points(folder):
     assert len(parts) > 1
     assert fidelity(canvas, painted(canvas, iter(parts)))["psnr"] > 100
     assert fidelity(canvas, painted(canvas, (1 - part for part in parts)))["psnr"] < 20
+
+
+def test_chunks_are_asked_where_the_texels_are(folder):
+    """On its own triangles, a texel's corners and weights lead back to its place on the surface, in order."""
+    from flx.mesh.assets import read_asset
+    from flx.pipeline.bake import chunks, open_canvas
+    from flx.types import Triangulation
+
+    asset = read_asset(folder / "vase.glb")
+    vertices, faces = asset.mesh.vertices, asset.mesh.faces
+    canvas = open_canvas(asset, Triangulation(vertices, faces), 128)
+    assert canvas.atlases[0] is not None
+    points = canvas.atlases[0].points
+    places = [np.einsum("pkx,pk->px", vertices[part.vertices], part.barycentrics) for part in chunks(canvas)]
+    expected = np.einsum("pkx,pk->px", vertices[faces[points.faces]], points.barycentrics)
+    np.testing.assert_allclose(np.concatenate(places), expected, atol=1e-5 * np.ptp(vertices))
