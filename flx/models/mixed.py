@@ -60,8 +60,7 @@ class MixedConv(nn.Module):
 
         around = [PairsDense(channels, precision)(field) for field in (mean, reflected, gradient)]
         q = sum(around, PairsDense(channels, precision)(x)) / 2
-        # Gates are the nonlinearity of vectors. A VN nonlinearity before them took 12 % of the step's time
-        # and learnt no better.
+        # Gates are the nonlinearity of vectors: a VN nonlinearity too costs time and learns no better.
         return q * jnp.tile(2 * nn.sigmoid(gate), 2), t
 
 
