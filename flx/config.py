@@ -21,8 +21,13 @@ class FLVAE:
     latents: int = 8  # D, complex numbers a vertex
     invariants: int = 0  # of these, channels that do not turn: two real numbers each; "frame" only
     samples: int = 64  # colour samples a one-ring
-    decoder_width: int = 512
+    decoder: Literal["field", "interpolated"] = "field"  # "interpolated" is what the paper compares with
+    decoder_width: int = 512  # of the transformer's decoder and of the interpolated one
     decoder_layers: int = 5
+    width: int = 256  # of the MLPs of "frame"
+    depth: int = 3  # their hidden layers
+    edges: int = 24  # soft edges a vertex; "frame" only
+    sharpness: float = 1.0  # of the blend of a face's corners: barycentrics to this power
     precision: Precision = "bfloat16"  # inputs of the matrix products; sums are float32
 
 
@@ -65,9 +70,10 @@ class Images:
     """The images an FL-VAE learns, and the planar meshes laid over them."""
 
     folder: str = ""
-    queries: int = 16  # points asked of each one-ring
-    smallest: float = 2.0  # pixels from the vertex to its ring, least and most
-    largest: float = 24.0
+    prints: float = 0.2  # pages of flat shapes and letters made for each image of the folder
+    queries: int = 8  # points asked for each vertex
+    smallest: float = 1.2  # pixels in a mean vertex radius, least and most
+    largest: float = 16.0
     seed: int = 0
 
 
@@ -76,7 +82,7 @@ class Train:
     """The optimiser and the rhythm of a run."""
 
     steps: int = 300_000
-    batch: int = 16  # mesh copies, or one-rings
+    batch: int = 16  # mesh copies, or patches of 24 one-rings
     optimizer: Literal["adam", "muon"] = "adam"  # the paper's; ours for short trainings
     learning_rate: float = 1e-3  # cosine to `final_learning_rate`
     final_learning_rate: float = 1e-5
@@ -95,6 +101,7 @@ class FLVAEExperiment:
     name: str = "flvae"
     model: FLVAE = field(default_factory=FLVAE)
     kl_weight: float = 0.01
+    learns: Literal["corners", "blend"] = "corners"  # the paper's: each vertex alone; ours: what is seen
     images: Images = field(default_factory=Images)
     train: Train = field(default_factory=lambda: Train(steps=1_500_000))
 

@@ -134,8 +134,9 @@ def evaluate(
     reconstruction: tuple[str, ...],
     out: Path,
     vertices: tuple[int, ...] = (30_000, 5_000),
-    methods: tuple[Literal["flvae", "inf", "vertex_colours", "pca", "frame_pca"], ...] = (
+    methods: tuple[Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"], ...] = (
         "flvae",
+        "barycentric",
         "inf",
         "vertex_colours",
         "pca",
@@ -151,7 +152,7 @@ def evaluate(
     Example: flx evaluate --reconstruction bowl.glb can.glb --vertices 30000 5000 --images photos --out table
 
     Args:
-        reconstruction: Meshes whose textures are sent there and back: MESH, or MESH:TEXTURE.
+        reconstruction: Whose textures are sent there and back: MESH, MESH:TEXTURE, or an image as a sheet.
         out: Folder to write to.
         vertices: Of the triangulations; one row each.
         methods: Which methods to measure.
@@ -176,9 +177,10 @@ def bench(path: Positional[Path | None] = None, /, mesh: bool = False, texture: 
         mesh: Time the geometry (CPU seconds) instead of the networks.
         texture: An image to use instead of the file's own.
     """
-    from flx.pipeline.bench import denoiser_rows, machine, mesh_rows
+    from flx.pipeline.bench import codec_rows, denoiser_rows, machine, mesh_rows
 
-    print(_json({"rows": mesh_rows(path, texture) if mesh else denoiser_rows(), "machine": machine()}))
+    rows = mesh_rows(path, texture) if mesh else [*codec_rows(), *denoiser_rows()]
+    print(_json({"rows": rows, "machine": machine()}))
 
 
 def train(arguments: Sequence[str]) -> None:

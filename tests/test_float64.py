@@ -23,7 +23,7 @@ from flx.models.denoiser import Denoiser
 from flx.models.mixed import MixedDenoiser
 from flx.models.vae import FieldLatentVAE
 from flx.pipeline.codec import initial_params
-from flx.types import MeshTables, OneRings, Pooling, RingSamples, Triangulation
+from flx.types import MeshTables, OneRings, Pooling, Queries, RingSamples, Triangulation
 
 EXACT = 1e-9
 # What is compiled here runs once or twice: it need not be fast.
@@ -240,7 +240,8 @@ def test_gradients_of_denoisers_are_slopes_and_know_no_frame(name):
 # ---- FL-VAE --------------------------------------------------------------------------------------------
 
 TINY = FLVAE(channels=8, layers=2, heads=2, samples=20, latents=5, decoder_width=16)
-CODECS = {"transformer": TINY, "frame": replace(TINY, encoder="frame", invariants=2)}
+FRAME = replace(TINY, encoder="frame", invariants=2, width=16, depth=1, edges=5, sharpness=2.0)
+CODECS = {"transformer": TINY, "frame": FRAME, "interpolated": replace(FRAME, decoder="interpolated")}
 codecs = pytest.mark.parametrize("name", CODECS)
 
 
@@ -254,8 +255,9 @@ def codec_of(name: str) -> Any:
     def encode(rings):
         return model.apply(params, rings, method=FieldLatentVAE.encode)
 
-    def decode(logs, z):
-        return model.apply(params, logs, z, method=FieldLatentVAE.decode)
+    def decode(queries, z):
+        expanded = model.apply(params, z, method=FieldLatentVAE.expand)
+        return model.apply(params, expanded, queries, method=FieldLatentVAE.blend)
 
     return compiled(encode), compiled(decode)
 
@@ -281,16 +283,16 @@ def there_and_back(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The codes of the vertices, their deviations, and colours decoded where the encoder did not look."""
     encode, decode = codec_of(name)
-    count = len(mesh.vertices)
-    logs = corner_logs(
-        tangent_frames(mesh), mesh, samples.faces.ravel(), samples.barycentrics.reshape(-1, 3)
-    ).reshape(*samples.faces.shape, 3)
+    count, flat = len(mesh.vertices), samples.faces.ravel()
+    logs = corner_logs(tangent_frames(mesh), mesh, flat, samples.barycentrics.reshape(-1, 3))
+    logs = logs.reshape(*samples.faces.shape, 3)
     mine = (mesh.faces[samples.faces] == np.arange(count)[:, None, None]).argmax(-1)
-    logs = np.take_along_axis(logs, mine[..., None], -1)[..., 0]
-    mean, log_sigma = encode(RingSamples(logs[:, :20], samples.colors[:, :20]))
-    codes = jnp.broadcast_to(mean[:, None], (count, 10, mean.shape[-1]))
+    own = np.take_along_axis(logs, mine[..., None], -1)[..., 0]
+    mean, log_sigma = encode(RingSamples(own[:, :20], samples.colors[:, :20]))
     assert mean.dtype == np.complex128
-    return mean, log_sigma, decode(logs[:, 20:], codes)
+    asked = Queries(mesh.faces[samples.faces], logs, samples.barycentrics)
+    asked = jax.tree.map(lambda a: jnp.asarray(a[:, 20:].reshape(-1, 3)), asked)
+    return mean, log_sigma, decode(asked, mean).reshape(count, 10, 3)
 
 
 def code_turn(name: str, turn: np.ndarray) -> np.ndarray:

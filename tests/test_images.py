@@ -1,75 +1,140 @@
-"""Laws of the one-rings that the FL-VAE is trained on."""
+"""Laws of the patches of planar meshes that the FL-VAE is trained on."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
 
 from flx.config import FLVAE, Images
-from flx.mesh.triangulations import planar
 from flx.pipeline import images
-from flx.pipeline.images import ImageRings
+from flx.pipeline.images import VERTICES, ImagePatches, Lay
+from flx.pipeline.prints import printed_pages
+
+CONFIG, MODEL = Images(queries=2), FLVAE(samples=16)
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Three smooth pictures, one of them small."""
+@pytest.fixture(scope="module")
+def patches(tmp_path_factory) -> ImagePatches:
+    """Over three smooth pictures, one of them small."""
+    folder = tmp_path_factory.mktemp("images")
     y, x = np.mgrid[0:600, 0:700] / 600
     for k, size in enumerate([(600, 700), (520, 520), (100, 300)]):
         picture = 127 + 120 * np.sin(np.stack([x * (k + 3), y * 4, x + y], -1) * 3)
-        Image.fromarray(picture[: size[0], : size[1]].astype(np.uint8)).save(tmp_path / f"{k}.png")
-    return tmp_path
+        Image.fromarray(picture[: size[0], : size[1]].astype(np.uint8)).save(folder / f"{k}.png")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(images, "SHEETS", 3)
+        patch.setattr(images, "SHEET_VERTICES", 150)
+        yield ImagePatches(Images(str(folder), queries=2), MODEL, 8)
 
 
-def test_a_batch_is_the_same_in_every_run_and_another_at_another_step(folder):
-    config, model = Images(folder=str(folder)), FLVAE(samples=16)
-    a, b = ImageRings(config, model, 8), ImageRings(config, model, 8)
-    np.testing.assert_array_equal(a(3).rings.colors, b(3).rings.colors)
-    assert np.abs(a(3).queries - a(4).queries).max() > 0.1
+def plain(count: int, **changed) -> Lay:
+    """Patches of one pixel a mean radius at the middle of image 0, with its own colours."""
+    ones = jnp.ones(count)
+    lay = Lay(
+        image=jnp.zeros(count, jnp.int32),
+        scale=ones,
+        turn=ones + 0j,
+        stretch=ones,
+        grain=ones + 0j,
+        corner=jnp.full((count, 2), 0.5),
+        channels=jnp.tile(jnp.arange(3), (count, 1)),
+        contrast=ones,
+        target=jnp.zeros((count, 3)),
+        painted=0 * ones,
+    )
+    return lay._replace(**changed)
 
 
-def test_fans_cover_the_plane_three_times():
-    """Each triangle belongs to three rings; in mean radii the area of all of them is 3πV."""
-    fans = images.fans(planar(300, (2.0, 1.0), np.random.default_rng(0)))
-    z = fans.corners
-    total = 0.5 * np.imag(np.conj(z[..., 0]) * z[..., 1]).sum()
-    np.testing.assert_allclose(total, 3 * np.pi * len(z), rtol=1e-9)
-    np.testing.assert_allclose(fans.areas[:, -1], 1)
+def test_a_batch_is_the_same_in_every_run_and_another_at_another_step(patches):
+    again = ImagePatches(patches.config, MODEL, 8)
+    np.testing.assert_array_equal(patches(3).rings.colors, again(3).rings.colors)
+    assert patches(3).colors.shape == (8 * VERTICES * 2, 3)
+    assert np.abs(patches(3).colors - patches(4).colors).max() > 0.1
+    assert patches.digest == again.digest
 
 
-def test_points_are_uniform_in_their_ring():
-    fans = images.fans(planar(60, (1.0, 1.0), np.random.default_rng(1)))
-    points = images.points_in_fans(fans, 4000, np.random.default_rng(2))
-    z = fans.corners
-    weights = np.imag(np.conj(z[..., 0]) * z[..., 1])
-    centroid = (weights * z.sum(-1) / 3).sum(1) / weights.sum(1)
-    np.testing.assert_allclose(points.mean(1), centroid, atol=0.08)
+def test_every_point_lies_in_a_face_whose_corners_see_it_where_it_is(patches):
+    """log and place differ by a turn and a shift: seen from two corners, points are as far apart."""
+    bank = jax.tree.map(lambda a: np.asarray(a)[::20], patches.bank)
+    corners = bank.queries.vertices[..., 0]
+    assert bank.queries.vertices.min() >= 0 and bank.queries.vertices.max() < VERTICES
+    apart = np.abs(np.take_along_axis(bank.logs, corners[..., None], 1) - bank.queries.logs[..., :1])
+    places = np.take_along_axis(bank.places, corners[..., None], 1)
+    np.testing.assert_allclose(apart, np.abs(places - bank.query_places[..., None]), atol=2e-3)
+    assert np.ptp(apart) > 1
+
+
+def test_queries_are_uniform_over_the_faces_of_a_patch(patches):
+    """Barycentrics of uniform points have the mean 1/3 and the variance 1/18."""
+    weights = np.asarray(patches.bank.queries.barycentrics).reshape(-1, 3)
+    np.testing.assert_allclose(weights.mean(0), 1 / 3, atol=0.01)
+    np.testing.assert_allclose(weights.var(0), 1 / 18, atol=0.003)
+
+
+def test_patches_side_by_side_do_not_share_vertices(patches):
+    batch = patches(0)
+    owner = np.asarray(batch.queries.vertices) // VERTICES
+    np.testing.assert_array_equal(owner, np.repeat(np.arange(8), VERTICES * 2)[:, None].repeat(3, 1))
+
+
+def test_rings_and_queries_read_the_same_picture(patches):
+    """Where a query lies near a ring's sample, the smooth pictures give both nearly the same colour."""
+    step = patches(1)
+    logs, colors = np.asarray(step.rings.logs), np.asarray(step.rings.colors)
+    corners, seen = np.asarray(step.queries.vertices)[:, 0], np.asarray(step.queries.logs)[:, 0]
+    distances = np.abs(logs[corners] - seen[:, None])
+    nearest = distances.argmin(1)
+    close = np.flatnonzero(distances.min(1) < 0.1)
+    found = colors[corners[close], nearest[close]]
+    assert len(close) > 10 and np.abs(found - np.asarray(step.colors)[close]).max() < 0.1 < np.ptp(colors)
 
 
 def test_colours_are_those_under_the_point():
     """On a picture that is linear in x, bilinear reading gives x itself."""
     ramp = np.zeros((1, 32, 256, 3), np.uint8)
     ramp[..., 0] = np.arange(256)
-    x = np.linspace(0.3, 250.7, 11)[None]
-    colors = images.bilinear(ramp, np.array([0]), x, np.full_like(x, 7.25))
+    x = jnp.linspace(0.3, 250.7, 11)[None]
+    colors = images.bilinear(jnp.asarray(ramp), jnp.array([0]), x, jnp.full_like(x, 7.25))
     np.testing.assert_allclose(colors[0, :, 0] * 255, x[0], atol=1e-3)
 
 
-def test_squeezing_keeps_areas():
-    rng = np.random.default_rng(3)
-    z = rng.normal(size=(5, 3)) + 1j * rng.normal(size=(5, 3))
-    area = lambda z: np.imag(np.conj(z[:, 1] - z[:, 0]) * (z[:, 2] - z[:, 0]))  # noqa: E731
-    squeezed = images.squeeze(z, np.full((5, 1), 1.7), rng.random((5, 1)))
-    np.testing.assert_allclose(area(squeezed), area(z), rtol=1e-9)
-    assert np.abs(squeezed - z).max() > 0.1
+def test_a_lay_scales_turns_and_stretches_about_the_middle():
+    """On the same ramp, colours tell x: 127.5 at the middle."""
+    ramp = np.zeros((1, 256, 256, 3), np.uint8)
+    ramp[..., 0] = np.arange(256)
+    places = jnp.array([[0, 3, 3j, -2 - 1j]])
+
+    def read(**changed):
+        return np.asarray(images.colors_at(jnp.asarray(ramp), plain(1, **changed), places)[0])[0, :, 0] * 255
+
+    one = jnp.ones(1)
+    np.testing.assert_allclose(read(), 127.5 + np.array([0, 3, 0, -2]), atol=1e-3)
+    np.testing.assert_allclose(read(scale=4 * one), 127.5 + 4 * np.array([0, 3, 0, -2]), atol=1e-3)
+    np.testing.assert_allclose(read(turn=1j * one), 127.5 + np.array([0, 0, -3, 1]), atol=1e-3)
+    np.testing.assert_allclose(read(stretch=1.5 * one), 127.5 + np.array([0, 4.5, 0, -3]), atol=1e-3)
+    turned = read(stretch=1.5 * one, grain=1j * one)
+    np.testing.assert_allclose(turned, 127.5 + np.array([0, 2, 0, -4 / 3]), atol=1e-3)
 
 
-def test_half_of_the_rings_keep_their_colours():
-    colors = np.random.default_rng(4).random((4000, 6, 3)).astype(np.float32)
-    painted = images.recolor(colors, np.random.default_rng(5))
-    kept = (painted == colors).all((1, 2)).mean()
-    assert 0.45 < kept < 0.55 and painted.min() == 0 and painted.max() == 1
+def test_half_of_the_patches_are_painted_anew_and_within_range():
+    picture = np.random.default_rng(4).integers(0, 256, (1, 64, 64, 3)).astype(np.uint8)
+    lay = images.random_lay(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
+    places = jnp.asarray(np.random.default_rng(5).normal(size=(4000, 6)) * (1 + 1j), jnp.complex64)
+    painted = images.colors_at(jnp.asarray(picture), lay, places)[0]
+    kept = images.colors_at(jnp.asarray(picture), lay._replace(painted=jnp.zeros(4000)), places)[0]
+    share = np.mean(np.all(painted == kept, axis=(1, 2)))
+    assert 0.45 < share < 0.55 and painted.min() == 0 and painted.max() == 1
 
 
 def test_a_folder_without_images_is_refused(tmp_path):
     with pytest.raises(ValueError, match="holds no images"):
-        ImageRings(Images(folder=str(tmp_path)), FLVAE(), 4)
+        ImagePatches(Images(folder=str(tmp_path)), FLVAE(), 4)
+
+
+def test_printed_pages_have_flat_areas_hard_edges_and_both_ends_of_the_scale():
+    pages = printed_pages(8, 128, 0)
+    np.testing.assert_array_equal(pages[:2], printed_pages(2, 128, 0))
+    steps = np.abs(np.diff(pages.astype(int), axis=2)).max(-1)
+    assert (steps == 0).mean() > 0.6 and (steps > 60).mean() > 0.01
+    assert pages.min() < 30 and pages.max() > 225 and not np.array_equal(pages[0], pages[1])

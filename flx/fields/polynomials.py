@@ -1,7 +1,8 @@
-"""Real polynomials on a tangent plane, up to degree three: the smooth part of a one-ring's colours.
+"""Real polynomials on a tangent plane: the smooth part of a one-ring's colours.
 
 A polynomial is Σ r^{d−m} (A Re u^m + B Im u^m) over degrees d and orders m = d, d−2, … ≥ 0. Where the
 frame turns, the pair A + iB of order m turns by e^{imα}: least squares in this basis is equivariant.
+Coefficients are listed by degree, then order, so those of a lower degree are the first of a higher one.
 """
 
 import jax
@@ -12,56 +13,69 @@ from jaxtyping import Complex, Float
 
 from flx.fields.algebra import squared_modulus
 
-TERMS = ((0, 0), (1, 1), (2, 0), (2, 2), (3, 1), (3, 3))  # (degree, order) of each coefficient or pair
-SIZE = sum(1 if order == 0 else 2 for _, order in TERMS)
 RIM = 1.9  # the usual distance of a ring's rim in mean vertex radii: terms are about 1 there
-ROWS = ((0, 3), (1, 6), (4,), (8,))  # of the coefficients, or the first of each pair, by order
-# Adds to the Gram matrix what 64 samples leave undetermined; higher degrees are smaller in pictures.
-RIDGE = np.array([1e-3 * (1 + 2 * d) for d, m in TERMS for _ in range(2 if m else 1)])
+NEAR = 1.0  # mean vertex radii within which samples count most in a fit: there a vertex is asked most
 
 
-def basis(u: Complex[Array, "*B"]) -> Float[Array, "*B N"]:
+def terms(degree: int) -> list[tuple[int, int]]:
+    """(degree, order) of each coefficient (order 0) or pair of coefficients."""
+    return [(d, m) for d in range(degree + 1) for m in range(d % 2, d + 1, 2)]
+
+
+def size(degree: int) -> int:
+    """The number of coefficients: (degree + 1) (degree + 2) / 2."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def rows(degree: int) -> tuple[list[int], list[int], list[int]]:
+    """The coefficients of order 0, the first of each pair, and the pairs' orders."""
+    listed = [(d, m) for d, m in terms(degree) for _ in range(2 if m else 1)]
+    pairs = [i for i, term in enumerate(listed) if term[1] and listed[i - 1] != term]
+    return [i for i, (_, m) in enumerate(listed) if m == 0], pairs, [listed[i][1] for i in pairs]
+
+
+def basis(u: Complex[Array, "*B"], degree: int) -> Float[Array, "*B N"]:
     """Every term at the point u, lengths in mean vertex radii."""
-    terms = []
-    for degree, order in TERMS:
-        radial = squared_modulus(u) ** ((degree - order) // 2) / RIM**degree
-        power = u**order
-        terms += [radial] if order == 0 else [radial * jnp.real(power), radial * jnp.imag(power)]
-    return jnp.stack(terms, -1)
+    squared, powers = squared_modulus(u / RIM), [jnp.ones_like(u)]
+    for _ in range(degree):
+        powers.append(powers[-1] * u / RIM)
+    found = []
+    for d, m in terms(degree):
+        radial = squared ** ((d - m) // 2)
+        found += [radial * jnp.real(powers[m]), radial * jnp.imag(powers[m])] if m else [radial]
+    return jnp.stack(found, -1)
 
 
-def least_squares(logs: Complex[Array, "*B S"], values: Float[Array, "*B S C"]) -> Float[Array, "*B N C"]:
-    """The coefficients of the polynomial nearest to the values at the samples, slightly damped."""
-    terms = basis(logs)
-    samples = terms.shape[-2]
-    gram = jnp.einsum("...si,...sj->...ij", terms, terms) / samples + jnp.diag(RIDGE)
-    moments = jnp.einsum("...si,...sc->...ic", terms, values) / samples
+def least_squares(
+    logs: Complex[Array, "*B S"], values: Float[Array, "*B S C"], degree: int
+) -> Float[Array, "*B N C"]:
+    """The coefficients of the polynomial nearest to the values at the samples, slightly damped.
+
+    What few samples leave undetermined is damped more at higher degrees, which are smaller in pictures.
+    """
+    near = jnp.exp(-squared_modulus(logs) / (2 * NEAR**2))
+    weights = (near / jnp.sum(near, -1, keepdims=True))[..., None]
+    found = basis(logs, degree)
+    ridge = np.array([1e-3 * (1 + 2 * d) for d, m in terms(degree) for _ in range(2 if m else 1)])
+    gram = jnp.einsum("...si,...sj->...ij", weights * found, found) + jnp.diag(ridge)
+    moments = jnp.einsum("...si,...sc->...ic", weights * found, values)
     return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(gram), True), moments)
 
 
 def by_order(
-    coefficients: Float[Array, "*B N C"],
-) -> tuple[
-    Float[Array, "*B 2 C"], Complex[Array, "*B 2 C"], Complex[Array, "*B 1 C"], Complex[Array, "*B 1 C"]
-]:
-    """The coefficients of order 0, and the pairs A + iB of orders 1, 2 and 3 as complex numbers."""
-    zeroth, first, second, third = (
-        jnp.stack([coefficients[..., row, :] for row in rows], -2) for rows in ROWS
-    )
-    imaginary = (jnp.stack([coefficients[..., row + 1, :] for row in rows], -2) for rows in ROWS[1:])
-    pairs = (jax.lax.complex(re, im) for re, im in zip((first, second, third), imaginary, strict=True))
-    return zeroth, *pairs  # type: ignore[return-value]
+    coefficients: Float[Array, "*B N C"], degree: int
+) -> tuple[Float[Array, "*B N0 C"], Complex[Array, "*B N1 C"]]:
+    """The coefficients of order 0, and the pairs A + iB of the others as complex numbers."""
+    zeroth, pairs, _ = rows(degree)
+    first = np.array(pairs)
+    both = jax.lax.complex(coefficients[..., first, :], coefficients[..., first + 1, :])
+    return coefficients[..., np.array(zeroth), :], both
 
 
 def from_orders(
-    zeroth: Float[Array, "*B 2 C"],
-    first: Complex[Array, "*B 2 C"],
-    second: Complex[Array, "*B 1 C"],
-    third: Complex[Array, "*B 1 C"],
+    zeroth: Float[Array, "*B N0 C"], pairs: Complex[Array, "*B N1 C"], degree: int
 ) -> Float[Array, "*B N C"]:
     """The inverse of `by_order`."""
-    rows = {row: zeroth[..., k, :] for k, row in enumerate(ROWS[0])}
-    for pairs, starts in zip((first, second, third), ROWS[1:], strict=True):
-        for k, row in enumerate(starts):
-            rows |= {row: jnp.real(pairs[..., k, :]), row + 1: jnp.imag(pairs[..., k, :])}
-    return jnp.stack([rows[row] for row in range(SIZE)], -2)
+    constant, first, _ = rows(degree)
+    listed = jnp.concatenate([zeroth, jnp.real(pairs), jnp.imag(pairs)], -2)
+    return listed[..., np.argsort([*constant, *first, *(i + 1 for i in first)]), :]

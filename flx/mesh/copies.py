@@ -3,9 +3,10 @@
 The work of one process of a pool: `begin` hands over the mesh once, `make_copy` takes a seed.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Complex64
 
 from flx.mesh.tables import mesh_tables
 from flx.mesh.tangent import TangentFrames, corner_logs, tangent_frames
@@ -35,12 +36,19 @@ def make_copy(mesh: TexturedMesh, vertices: int, samples: int, slots: int, seed:
 
 def sample_rings(mesh: TexturedMesh, triangulation: Triangulation, samples: int, seed: int) -> RingSamples:
     """Colours of `mesh` at points uniform by area in each one-ring of the copy."""
-    points, corners = ring_points(triangulation, samples, np.random.default_rng(seed))
-    frames = tangent_frames(triangulation)
-    logs = corner_logs(frames, triangulation, points.faces, points.barycentrics)
+    points, logs = points_in_rings(triangulation, samples, np.random.default_rng(seed))
     hits = transfer(points, triangulation.vertices, triangulation.faces, mesh.vertices, mesh.faces)
-    logs = np.take_along_axis(logs, corners.reshape(-1, 1), axis=1).reshape(corners.shape)
-    return RingSamples(logs.astype(np.complex64), surface_colors(mesh, hits).reshape(*corners.shape, 3))
+    return RingSamples(logs, surface_colors(mesh, hits).reshape(*logs.shape, 3))
+
+
+def points_in_rings(
+    triangulation: Triangulation, samples: int, rng: np.random.Generator
+) -> tuple[SurfacePoints, Complex64[Any, "V S"]]:
+    """Points uniform by area in each one-ring, those of vertex v from v·samples on, and how v sees them."""
+    points, corners = ring_points(triangulation, samples, rng)
+    logs = corner_logs(tangent_frames(triangulation), triangulation, points.faces, points.barycentrics)
+    own = np.take_along_axis(logs, corners.reshape(-1, 1), axis=1)
+    return points, own.reshape(corners.shape).astype(np.complex64)
 
 
 def queries(mesh: TexturedMesh, points: SurfacePoints, triangulation: Triangulation) -> Queries:

@@ -1,11 +1,11 @@
-"""Our field-latent codec: the coefficients of a cubic polynomial, and MLPs for what it misses.
+"""Our field-latent codec: a ring's colours as a polynomial seen in its own direction, and MLPs beside it.
 
-The ring's colours are fitted by a cubic polynomial. What does not turn with the frame (mean colour,
-curvature) goes into invariant channels of the code, what turns like a vector (the gradient and its
-change) into vectors, and what turns twice or thrice as fast is turned back by the direction of the
-luminance gradient, which is the first vector and which the decoder finds there again. Linear maps, which
-start as principal components, choose what to keep; MLPs that work in the gradient's frame refine it.
-Equivariant by construction, and 40 times cheaper a ring than a transformer over its samples.
+The ring's colours are fitted by a polynomial, which is turned upright: seen in the frame of the luminance
+gradient. What does not turn with the frame (mean colour, curvature) goes into invariant channels of the code,
+the rest into vectors. The first of these is that gradient: the decoder finds the direction there again.
+Linear maps, which start as principal components, choose what to keep; an MLP refines it. The decoder works
+once a vertex: it makes an upright polynomial and a few soft edges, which are cheap to look up at any point.
+Equivariant by construction, and far cheaper than a transformer over the samples.
 """
 
 from typing import Any, NamedTuple
@@ -24,37 +24,32 @@ from flx.types import RingSamples
 
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 TIE = 1e-2  # weight of the samples' own centre in the frame: flat colours have no gradient
-RESIDUAL = 0.1  # scale of the MLPs beside the linear maps, at the start
-SCALARS, VECTORS = 2 * 3, 4 * 3  # numbers of a cubic polynomial in three colours, by how they turn
+FITTED, PAINTED = 7, 5  # degrees of the polynomials that the encoder sees and the decoder makes
+RESIDUAL = 0.01  # scale of the MLPs beside the linear maps, at the start
+GAIN = 5.0  # of the MLP's inputs: coefficients of colours are a few tenths
+STEEPNESS = 1.5  # of the edges at the start, per mean vertex radius; also the spread of their offsets
+BOLDNESS = 10.0  # how much faster than colours the edges' places move with the MLP
+_ZEROTH, _PAIRS, _ORDERS = polynomials.rows(FITTED)
+SCALARS, VECTORS = (3 * len(rows) for rows in (_ZEROTH, _PAIRS))  # numbers of a fit to three colours
+PAINTED_SCALARS, PAINTED_VECTORS = (3 * len(rows) for rows in polynomials.rows(PAINTED)[:2])
 
 
-class Parts(NamedTuple):
-    """A coloured polynomial taken apart by how it turns with the frame."""
+class Upright(NamedTuple):
+    """The polynomial of a ring's colours, seen in the frame of their luminance gradient."""
 
-    scalars: Float[Array, "*B 6"]  # orders 0
-    vectors: Complex[Array, "*B 12"]  # orders 1, 1, 2, 3; 2 and 3 turned back to 1 by the direction
+    scalars: Float[Array, "*B 12"]  # of order 0
+    vectors: Complex[Array, "*B 48"]  # of the others
     direction: Complex[Array, "*B"]  # of the luminance gradient
 
 
-def take_apart(rings: RingSamples) -> Parts:
-    """Fit the ring's colours and sort the coefficients."""
-    fitted = polynomials.least_squares(rings.logs, rings.colors - 0.5)
-    scalars, first, second, third = polynomials.by_order(fitted)
-    gradient = first[..., 0, :] @ LUMINANCE.astype(np.complex64)
+def upright(rings: RingSamples) -> Upright:
+    """Fit the ring's colours, find their direction, and turn it to the x axis."""
+    fitted = polynomials.least_squares(rings.logs, rings.colors - 0.5, FITTED)
+    scalars, pairs = polynomials.by_order(fitted, FITTED)
+    gradient = pairs[..., 0, :] @ LUMINANCE.astype(np.complex64)
     direction = algebra.unit(gradient + TIE * jnp.mean(rings.logs, -1))
-    back = jnp.conj(direction)[..., None, None]
-    vectors = jnp.concatenate([first, second * back, third * back**2], -2)
-    return Parts(_flat(scalars), _flat(vectors), direction)
-
-
-def put_together(
-    scalars: Float[Array, "*B 6"], vectors: Complex[Array, "*B 12"], direction: Complex[Array, "*B"]
-) -> Float[Array, "*B N 3"]:
-    """The coefficients again; the inverse of `take_apart`'s sorting."""
-    forth = direction[..., None, None]
-    vectors = vectors.reshape(*vectors.shape[:-1], 4, 3)
-    first, second, third = vectors[..., :2, :], vectors[..., 2:3, :] * forth, vectors[..., 3:, :] * forth**2
-    return polynomials.from_orders(scalars.reshape(*scalars.shape[:-1], 2, 3), first, second, third)
+    turned = pairs * jnp.conj(direction)[..., None, None] ** np.array(_ORDERS)[:, None]
+    return Upright(_flat(scalars), _flat(turned), direction)
 
 
 def join(scalars: Float[Array, "*B S"], vectors: Complex[Array, "*B C"]) -> Complex[Array, "*B D"]:
@@ -74,7 +69,7 @@ def _flat(x: Array) -> Array:
 
 
 class Encoder(nn.Module):
-    """Polynomial parts → scalars and vectors of the code, and their deviations."""
+    """An upright polynomial → scalars and vectors of the code, and their deviations."""
 
     config: FLVAE
 
@@ -82,45 +77,78 @@ class Encoder(nn.Module):
     def __call__(self, rings: RingSamples) -> Posterior:
         c = self.config
         kept, count = 2 * c.invariants, c.latents - c.invariants - 1  # the gradient is not chosen
-        parts = take_apart(rings)
+        seen = upright(rings)
         zeros = nn.initializers.zeros
         mean = self.param("mean", zeros, (SCALARS,))
-        scalars = (parts.scalars - mean) @ self.param("scalars", zeros, (SCALARS, kept))
-        vectors = algebra.complex_linear(parts.vectors, self.param("vectors", zeros, (2, VECTORS, 1 + count)))
-        upright = parts.vectors * jnp.conj(parts.direction)[..., None]
-        seen = jnp.concatenate([parts.scalars, algebra.real_pairs(upright), scalars], -1)
-        out = RealMLP((c.decoder_width,) * 3 + (kept + 2 * count + c.latents,), c.precision)(seen)
+        scalars = (seen.scalars - mean) @ self.param("scalars", zeros, (SCALARS, kept))
+        vectors = algebra.complex_linear(seen.vectors, self.param("vectors", zeros, (2, VECTORS, 1 + count)))
+        polynomial = jnp.concatenate([seen.scalars, algebra.real_pairs(seen.vectors)], -1)
+        features = jnp.concatenate([GAIN * polynomial, scalars, algebra.real_pairs(vectors)], -1)
+        outputs = kept + 2 * count + c.latents
+        out = RealMLP((c.width,) * c.depth + (outputs,), c.precision, start=RESIDUAL)(features)
         more, re, im, log_sigma = jnp.split(out, np.cumsum([kept, count, count]), -1)
-        refined = jax.lax.complex(re, im) * parts.direction[..., None]
-        vectors = vectors + RESIDUAL * jnp.pad(refined, [(0, 0)] * (refined.ndim - 1) + [(1, 0)])
-        return Posterior.starting_small(join(scalars + RESIDUAL * more, vectors), log_sigma)
+        refined = jax.lax.complex(re, im)
+        vectors = vectors + jnp.pad(refined, [(0, 0)] * (refined.ndim - 1) + [(1, 0)])
+        turned = vectors * seen.direction[..., None]
+        return Posterior.starting_small(join(scalars + more, turned), log_sigma)
+
+
+class Painting(NamedTuple):
+    """What a vertex's code says of the colours around it, in the frame of `direction`."""
+
+    direction: Complex[Array, "*B"]
+    coefficients: Float[Array, "*B N 3"]  # of a polynomial
+    slopes: Complex[Array, "*B E"]  # soft edges tanh(Re(slope̅ u) + offset) …
+    offsets: Float[Array, "*B E"]
+    steps: Float[Array, "*B E 3"]  # … and how far colours go on both sides of them
 
 
 class Decoder(nn.Module):
-    """A code → a polynomial, and an MLP on code and place that adds edges and corners."""
+    """A code → the painting around its vertex → colours."""
 
     config: FLVAE
 
-    @nn.compact
-    def __call__(self, logs: Complex[Array, "*B"], z: Complex[Array, "*B D"]) -> Float[Array, "*B 3"]:
+    def setup(self) -> None:
+        c = self.config
+        zeros, spread = nn.initializers.zeros, nn.initializers.normal(STEEPNESS)
+        self.mean = self.param("mean", zeros, (PAINTED_SCALARS,))
+        self.scalars = self.param("scalars", zeros, (2 * c.invariants, PAINTED_SCALARS))
+        self.vectors = self.param("vectors", zeros, (2, c.latents - c.invariants, PAINTED_VECTORS))
+        self.slopes = self.param("slopes", spread, (2, c.edges))
+        self.offsets = self.param("offsets", spread, (c.edges,))
+        outputs = 3 * polynomials.size(PAINTED) + 6 * c.edges
+        self.mlp = RealMLP((c.width,) * c.depth + (outputs,), c.precision, start=RESIDUAL)
+
+    def expand(self, z: Complex[Array, "*B D"]) -> Painting:
+        """The work of a vertex: all that depends on its code alone."""
         c = self.config
         scalars, vectors = split(z, c.invariants)
         direction = algebra.unit(vectors[..., 0])
-        zeros = nn.initializers.zeros
-        mean = self.param("mean", zeros, (SCALARS,))
-        expanded = mean + scalars @ self.param("scalars", zeros, (scalars.shape[-1], SCALARS))
-        turning = self.param("vectors", zeros, (2, vectors.shape[-1], VECTORS))
-        coefficients = put_together(expanded, algebra.complex_linear(vectors, turning), direction)
-        smooth = jnp.einsum("...n,...nc->...c", polynomials.basis(logs), coefficients)
-        seen = [
-            scalars,
-            algebra.real_pairs(vectors * jnp.conj(direction)[..., None]),
-            polynomials.basis(logs * jnp.conj(direction))[..., 1:],
-            algebra.real_pairs(logs[..., None] * jnp.conj(vectors)),
-            smooth,
-        ]
-        widths = (c.decoder_width,) * (c.decoder_layers - 1) + (3,)
-        return 0.5 + smooth + RESIDUAL * RealMLP(widths, c.precision)(jnp.concatenate(seen, -1))
+        seen = vectors * jnp.conj(direction)[..., None]
+        zeroth = _in_colors(self.mean + scalars @ self.scalars)
+        pairs = _in_colors(algebra.complex_linear(seen, self.vectors))
+        linear = polynomials.from_orders(zeroth, pairs, PAINTED)
+        out = self.mlp(jnp.concatenate([scalars, algebra.real_pairs(seen)], -1))
+        more, edges = jnp.split(out, [3 * polynomials.size(PAINTED)], -1)
+        re, im, offsets, *steps = jnp.split(edges, 6, -1)
+        return Painting(
+            direction,
+            linear + _in_colors(more),
+            jax.lax.complex(self.slopes[0] + BOLDNESS * re, self.slopes[1] + BOLDNESS * im),
+            self.offsets + BOLDNESS * offsets,
+            jnp.stack(steps, -1),
+        )
+
+    def __call__(self, painting: Painting, logs: Complex[Array, "*B"]) -> Float[Array, "*B 3"]:
+        """The work of a point: the colour at the log from the painting's vertex."""
+        u = logs * jnp.conj(painting.direction)
+        smooth = jnp.einsum("...n,...nc->...c", polynomials.basis(u, PAINTED), painting.coefficients)
+        sides = jnp.tanh(jnp.real(jnp.conj(painting.slopes) * u[..., None]) + painting.offsets)
+        return 0.5 + smooth + jnp.einsum("...e,...ec->...c", sides, painting.steps)
+
+
+def _in_colors(x: Array) -> Array:
+    return x.reshape(*x.shape[:-1], -1, 3)
 
 
 def start_from_principal_components(params: Any, rings: RingSamples) -> Any:
@@ -129,11 +157,11 @@ def start_from_principal_components(params: Any, rings: RingSamples) -> Any:
     The first vector is the luminance gradient; the others are the principal components of what it does
     not predict, in the metric of mean squared colour differences over the rings. Channels have unit power.
     """
-    parts = jax.tree.map(lambda a: np.asarray(a, np.complex128), jax.jit(take_apart)(rings))
-    scalars, vectors = parts.scalars.real, parts.vectors
+    seen = jax.tree.map(lambda a: np.asarray(a, np.complex128), jax.jit(upright)(rings))
+    scalars, vectors = seen.scalars.real, seen.vectors
     kept = params["params"]["encoder"]["scalars"].shape[1]
     count = params["params"]["encoder"]["vectors"].shape[2] - 1
-    for_scalars, for_vectors = _metrics(np.asarray(polynomials.basis(rings.logs), np.float64))
+    for_scalars, for_vectors = _metrics(rings.logs)
 
     mean = scalars.mean(0)
     encode_scalars, decode_scalars = _components(scalars - mean, for_scalars, kept)
@@ -144,38 +172,40 @@ def start_from_principal_components(params: Any, rings: RingSamples) -> Any:
     rest = vectors - leading @ predicted
     encode_rest, decode_rest = _components(rest, for_vectors, count)
     encode_rest = encode_rest - gradient @ (predicted @ encode_rest)
-    linear = {
-        "encoder": {
-            "mean": mean,
-            "scalars": encode_scalars,
-            "vectors": _pair(np.concatenate([gradient, encode_rest], 1)),
-        },
-        "decoder": {
-            "mean": mean,
-            "scalars": decode_scalars,
-            "vectors": _pair(np.concatenate([predicted, decode_rest], 0)),
-        },
+    encoder = {
+        "mean": mean,
+        "scalars": encode_scalars,
+        "vectors": _pair(np.concatenate([gradient, encode_rest], 1)),
     }
-    changed = {
-        part: params["params"][part] | {k: jnp.asarray(v, jnp.float32) for k, v in maps.items()}
-        for part, maps in linear.items()
+    decoder = {  # coefficients of low degree come first
+        "mean": mean[:PAINTED_SCALARS],
+        "scalars": decode_scalars[:, :PAINTED_SCALARS],
+        "vectors": _pair(np.concatenate([predicted, decode_rest], 0)[:, :PAINTED_VECTORS]),
     }
-    return {"params": params["params"] | changed}
+    linear = {"encoder": encoder, "decoder": decoder}
+    return {"params": {part: _replaced(old, linear[part]) for part, old in params["params"].items()}}
 
 
-def _metrics(terms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Square roots of the Gram matrices of scalars and vectors, for three colours each."""
-    terms = terms.reshape(-1, polynomials.SIZE)
-    gram = terms.T @ terms / len(terms) + 1e-6 * np.eye(polynomials.SIZE)
-    zeroth, first, second, third = (np.array(rows) for rows in polynomials.ROWS)
-    of_scalars = np.linalg.cholesky(gram[np.ix_(zeroth, zeroth)])
-    of_vectors = np.zeros((4, 4))
-    of_vectors[:2, :2] = np.linalg.cholesky(gram[np.ix_(first, first)])
-    of_vectors[2, 2], of_vectors[3, 3] = (
-        np.sqrt(gram[second[0], second[0]]),
-        np.sqrt(gram[third[0], third[0]]),
+def _replaced(params: Any, linear: dict[str, Any]) -> Any:
+    """Those of the linear maps that the module has."""
+    return params | {name: jnp.asarray(linear[name], jnp.float32) for name in params if name in linear}
+
+
+def _metrics(logs: Complex[Array, "R S"]) -> tuple[np.ndarray, np.ndarray]:
+    """Square roots of the Gram matrices of scalars and vectors, for three colours each.
+
+    Samples count as they do in the fit; terms of different orders are orthogonal on a disc.
+    """
+    near = np.exp(-(np.abs(logs).ravel() ** 2) / (2 * polynomials.NEAR**2))
+    terms = np.asarray(polynomials.basis(logs, FITTED), np.float64).reshape(-1, polynomials.size(FITTED))
+    gram = (terms * near[:, None]).T @ terms / near.sum() + 1e-7 * np.eye(polynomials.size(FITTED))
+    first, orders = np.array(_PAIRS), np.array(_ORDERS)
+    both = (gram[np.ix_(first, first)] + gram[np.ix_(first + 1, first + 1)]) / 2
+    of_vectors = np.where(orders[:, None] == orders, both, 0)
+    of_scalars = gram[np.ix_(_ZEROTH, _ZEROTH)]
+    return np.kron(np.linalg.cholesky(of_scalars), np.eye(3)), np.kron(
+        np.linalg.cholesky(of_vectors), np.eye(3)
     )
-    return np.kron(of_scalars, np.eye(3)), np.kron(of_vectors, np.eye(3))
 
 
 def _components(x: np.ndarray, metric: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

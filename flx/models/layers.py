@@ -60,29 +60,34 @@ class PairsDense(nn.Module):
 
 
 class RealDense(nn.Module):
-    """A real linear map with bias."""
+    """A real linear map with bias; `start` scales its first weights."""
 
     features: int
     precision: Precision = "float32"
+    start: float = 1.0
 
     @nn.compact
     def __call__(self, x: Float[Array, "*V C"]) -> Float[Array, "*V D"]:
-        kernel = self.param("kernel", nn.initializers.lecun_normal(), (x.shape[-1], self.features))
-        bias = self.param("bias", nn.initializers.normal(0.1), (self.features,))  # black is not nothing
+        first = nn.initializers.variance_scaling(self.start**2, "fan_in", "truncated_normal")
+        kernel = self.param("kernel", first, (x.shape[-1], self.features))
+        black_is_not_nothing = nn.initializers.normal(0.1 * self.start)
+        bias = self.param("bias", black_is_not_nothing, (self.features,))
         return algebra.dense(x, kernel, self.precision) + bias
 
 
 class RealMLP(nn.Module):
-    """Real dense layers with SiLU between them and none after the last."""
+    """Real dense layers with SiLU between them and none after the last; `start` scales the last one's."""
 
     widths: tuple[int, ...]
     precision: Precision = "float32"
+    start: float = 1.0
 
     @nn.compact
     def __call__(self, x: Float[Array, "*V C"]) -> Float[Array, "*V D"]:
-        for i, width in enumerate(self.widths):
-            x = RealDense(width, self.precision)(x if i == 0 else nn.silu(x))
-        return x
+        *hidden, last = self.widths
+        for width in hidden:
+            x = nn.silu(RealDense(width, self.precision)(x))
+        return RealDense(last, self.precision, self.start)(x)
 
 
 class VNLayer(nn.Module):

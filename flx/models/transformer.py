@@ -9,6 +9,7 @@ from jaxtyping import Complex, Float
 from flx.config import FLVAE
 from flx.fields import algebra
 from flx.fields.algebra import Precision
+from flx.models.interpolated import products
 from flx.models.layers import ComplexDense, Posterior, RealMLP, TokenNorm, VNLayer
 from flx.types import RingSamples
 
@@ -94,14 +95,14 @@ class Decoder(nn.Module):
 
     config: FLVAE
 
+    @nn.nowrap
+    def expand(self, z: Complex[Array, "*B D"]) -> tuple[Complex[Array, "*B D"], Float[Array, "*B D2"]]:
+        """The code, and its products."""
+        return z, products(z)
+
     @nn.compact
-    def __call__(self, logs: Complex[Array, "*B"], z: Complex[Array, "*B D"]) -> Float[Array, "*B 3"]:
-        c = self.config
-        i, j = jnp.triu_indices(z.shape[-1], 1)
-        features = [
-            algebra.squared_modulus(z),
-            algebra.real_pairs(z[..., i] * jnp.conj(z[..., j])),
-            algebra.real_pairs(logs[..., None] * jnp.conj(z)),
-        ]
+    def __call__(self, expanded: tuple[Array, Array], logs: Complex[Array, "*B"]) -> Float[Array, "*B 3"]:
+        c, (z, invariants) = self.config, expanded
+        features = [invariants, algebra.real_pairs(logs[..., None] * jnp.conj(z))]
         widths = (c.decoder_width,) * (c.decoder_layers - 1) + (3,)
         return 0.5 + RealMLP(widths, c.precision)(jnp.concatenate(features, -1))

@@ -1,50 +1,79 @@
 """The field-latent VAE: one-ring colours → tangent vectors at the vertex → colours around it.
 
-Everything is pointwise: a ring's code depends on that ring alone, whatever else is in the batch.
-The encoder commutes with a change of the vertex's frame, the decoder is invariant under it.
+A ring's code depends on that ring alone, whatever else is in the batch; a point's colour on the codes at the
+corners of its face. The encoder commutes with a change of the vertex's frame, the decoder is invariant.
 """
 
 from typing import Any
 
 import flax.linen as nn
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Complex, Float
 
 from flx.config import FLVAE
 from flx.fields import algebra
-from flx.models import frame, transformer
+from flx.models import frame, interpolated, transformer
 from flx.models.layers import Posterior
-from flx.types import RingSamples
+from flx.types import Queries, RingSamples
 
 
 class FieldLatentVAE(nn.Module):
-    """Encoder and decoder; `encode` and `decode` below apply them."""
+    """Encoder and decoder. `expand` is a vertex's share of decoding, `blend` and `corners` a point's."""
 
     config: FLVAE
 
     def setup(self) -> None:
         check(self.config)
-        family = {"transformer": transformer, "frame": frame}[self.config.encoder]
+        family: Any = FAMILIES[self.config.encoder]
         self.encoder = family.Encoder(self.config)
-        self.decoder = family.Decoder(self.config)
+        decoder: Any = interpolated if self.config.decoder == "interpolated" else family
+        self.decoder = decoder.Decoder(self.config)
 
     def encode(self, rings: RingSamples) -> Posterior:
         """The code of each one-ring, in the frame of its vertex."""
         return self.encoder(rings)
 
-    def decode(self, logs: Complex[Array, "*B"], z: Complex[Array, "*B D"]) -> Float[Array, "*B 3"]:
-        """The colour at the point log away from the vertex that z belongs to; about [0, 1], not clipped."""
-        return self.decoder(logs, z)
+    def expand(self, z: Complex[Array, "V D"]) -> Any:
+        """What the decoder makes of each vertex's code, whatever the point: arrays [V, …]."""
+        return self.decoder.expand(z)
 
-    def __call__(
-        self, rings: RingSamples, queries: Complex[Array, "*B Q"], key: Array
-    ) -> tuple[Float[Array, "*B Q 3"], Posterior]:
-        """Encode, sample and decode at the queries: what training needs."""
+    def corners(self, expanded: Any, queries: Queries) -> Float[Array, "P 3 3"]:
+        """The colour that each corner of a point's face predicts there; about [0, 1], not clipped."""
+        return self.decoder(_at_corners(expanded, queries), queries.logs)
+
+    def blend(self, expanded: Any, queries: Queries) -> Float[Array, "P 3"]:
+        """The colour at each point of a triangulation, continuous over its edges; not clipped."""
+        weights = blend_weights(queries.barycentrics, self.config.sharpness)
+        if self.config.decoder == "interpolated":
+            features = jnp.einsum("pk,pkf->pf", weights, _at_corners(expanded, queries))
+            return self.decoder(features)
+        return jnp.einsum("pk,pkc->pc", weights, self.corners(expanded, queries))
+
+    def __call__(self, rings: RingSamples, queries: Queries, key: Array) -> tuple[Array, Array, Posterior]:
+        """Encode, sample and decode at the points of one mesh: the blend, the corners, the posterior."""
         posterior = self.encode(rings)
-        z = posterior.sample(key)
-        z = jnp.broadcast_to(z[..., None, :], (*queries.shape, z.shape[-1]))
-        return self.decode(queries, z), posterior
+        expanded = self.expand(posterior.sample(key))
+        blended = self.blend(expanded, queries)
+        if self.config.decoder == "interpolated":
+            return blended, blended[:, None], posterior
+        return blended, self.corners(expanded, queries), posterior
+
+
+FAMILIES = {"transformer": transformer, "frame": frame}
+
+
+def _at_corners(expanded: Any, queries: Queries) -> Any:
+    return jax.tree.map(lambda a: a[queries.vertices], expanded)
+
+
+def blend_weights(barycentrics: Float[Array, "P 3"], sharpness: float) -> Float[Array, "P 3"]:
+    """λᵢ^s / Σ λ^s: barycentric for s = 1 (paper); the larger s, the more of a face its corners keep."""
+    if sharpness == 1:
+        return barycentrics
+    weights = barycentrics**sharpness
+    return weights / jnp.sum(weights, -1, keepdims=True)
 
 
 def check(config: FLVAE) -> None:
@@ -54,23 +83,14 @@ def check(config: FLVAE) -> None:
         raise ValueError(
             f"model.invariants is {invariants}, but the transformer's codes are vectors: make it 0"
         )
-    if config.encoder == "frame" and not (1 <= invariants <= 3 and invariants < latents <= invariants + 12):
+    most = frame.VECTORS
+    if config.encoder == "frame" and not (1 <= invariants <= 3 and invariants < latents <= invariants + most):
         raise ValueError(
             f"model.invariants is {invariants} of {latents} latents; the frame encoder has 1 to 3, "
-            "and 1 to 12 vectors beside them"
+            f"and 1 to {most} vectors beside them"
         )
-
-
-def encode(config: FLVAE, params: Any, rings: RingSamples) -> Posterior:
-    """`FieldLatentVAE.encode` as a function of its parameters."""
-    return FieldLatentVAE(config).apply(params, rings, method=FieldLatentVAE.encode)  # type: ignore
-
-
-def decode(
-    config: FLVAE, params: Any, logs: Complex[Array, "*B"], z: Complex[Array, "*B D"]
-) -> Float[Array, "*B 3"]:
-    """`FieldLatentVAE.decode` as a function of its parameters."""
-    return FieldLatentVAE(config).apply(params, logs, z, method=FieldLatentVAE.decode)  # type: ignore
+    if config.sharpness < 1:
+        raise ValueError(f"model.sharpness is {config.sharpness}; make it 1 (barycentric) or more")
 
 
 def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:
@@ -85,8 +105,8 @@ def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:
 
 
 def flvae_loss(
-    colors: Float[Array, "*B Q 3"],
-    predicted: Float[Array, "*B Q 3"],
+    colors: Float[Array, "*P 3"],
+    predicted: Float[Array, "*P 3"],
     posterior: Posterior,
     kl_weight: float,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:

@@ -1,7 +1,8 @@
 """Other ways to keep a texture in a few numbers a vertex: what the FL-VAE is measured against.
 
 A method learns a `Subject` and answers with what colours its points. Vertex colours take 3 numbers a
-vertex; both kinds of principal components take 16, like the FL-VAE, and are fitted to a folder of images.
+vertex; both kinds of principal components take 16, like the FL-VAE, and are fitted to a folder of images. The
+paper's own comparison, an FL-VAE whose decoder interpolates invariants, is another file of weights.
 """
 
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from flx.mesh.copies import transfer
 from flx.mesh.texels import surface_colors
 from flx.models import frame
 from flx.pipeline.codec import Codec, initial_params
-from flx.pipeline.images import Fans, ImageRings, points_in_fans
+from flx.pipeline.images import ImagePatches, colors_at, first_rings
 from flx.types import Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
 
 NUMBERS = 16  # a vertex
@@ -60,24 +61,19 @@ def vertex_colours(subject: Subject) -> Paint:
     return lambda points: np.einsum("pkc,pk->pc", colors[points.vertices], points.barycentrics)
 
 
-def frame_components(images: ImageRings) -> Method:
+def frame_components(images: ImagePatches) -> Method:
     """The codec of `flx.models.frame` as training finds it: its principal components, its MLPs silent."""
-    config = FLVAE(encoder="frame", invariants=3, decoder_width=8, precision="float32")
-    params = frame.start_from_principal_components(initial_params(config, 0), _rings(images))
+    config = FLVAE(encoder="frame", invariants=3, width=8, depth=1, edges=1, precision="float32")
+    params = frame.start_from_principal_components(initial_params(config, 0), first_rings(images, 0, RINGS))
     silent = jax.tree_util.tree_map_with_path(
-        lambda path, leaf: jnp.zeros_like(leaf) if "RealMLP" in jax.tree_util.keystr(path) else leaf, params
+        lambda path, leaf: jnp.zeros_like(leaf) if path[-1].key in ("kernel", "bias") else leaf, params
     )
     return field_latents(Codec(config, silent))
 
 
-def _rings(images: ImageRings) -> RingSamples:
-    batches = [images(step).rings for step in range(-(-RINGS // images.batch))]
-    return RingSamples(*(jnp.concatenate(parts) for parts in zip(*batches, strict=True)))
-
-
-def open_images(folder: Path) -> ImageRings:
-    """One-rings over the images of a folder, at the scales the released FL-VAE is trained on."""
-    return ImageRings(Images(str(folder), smallest=1.5, largest=12.0), FLVAE(), 256)
+def open_images(folder: Path) -> ImagePatches:
+    """Patches over the images of a folder, at the scales the released FL-VAE is trained on."""
+    return ImagePatches(Images(str(folder)), FLVAE(), 64)
 
 
 # --- principal components in the vertex's own frame
@@ -91,7 +87,7 @@ class Components(NamedTuple):
     noise: float  # variance of what they leave out
 
 
-def components(images: ImageRings) -> Method:
+def components(images: ImagePatches) -> Method:
     """Principal components of coloured patches: no code that is linear in its ring keeps more."""
     fitted = fit_components(images)
 
@@ -102,18 +98,16 @@ def components(images: ImageRings) -> Method:
     return learnt
 
 
-def fit_components(images: ImageRings) -> Components:
+def fit_components(images: ImagePatches) -> Components:
     """Fit to patches of the images; a point counts as often as a one-ring samples there."""
-    rng = np.random.default_rng(images.config.seed)
     axis = np.linspace(-REACH, REACH, GRID)
-    grid = (axis[None, :] + 1j * axis[:, None]).ravel()
-    patches = [
-        images.read_colors(np.broadcast_to(grid, (images.batch, len(grid))), rng)
-        for _ in range(-(-RINGS // images.batch))
-    ]
+    grid = (axis[None, :] + 1j * axis[:, None]).ravel().astype(np.complex64)
+    places = jnp.broadcast_to(grid, (images.batch, len(grid)))
+    read = jax.jit(lambda lay: colors_at(images.images, lay, places)[0])
+    patches = [np.asarray(read(images.lay(step))) for step in range(-(-RINGS // images.batch))]
     x = np.concatenate(patches).reshape(-1, 3 * len(grid)).astype(np.float64)
     mean = x.mean(0)
-    roots = np.sqrt(np.repeat(_density(images.pool, rng), 3))
+    roots = np.sqrt(np.repeat(_density(images), 3))
     covariance = np.cov((x - mean).T) * roots * roots[:, None]
     values, vectors = np.linalg.eigh(covariance)
     values, vectors = values[::-1], vectors[:, ::-1][:, :NUMBERS]
@@ -126,9 +120,9 @@ def fit_components(images: ImageRings) -> Components:
     )
 
 
-def _density(pool: Fans, rng: np.random.Generator) -> Any:
+def _density(images: ImagePatches) -> Any:
     """The share of a one-ring's samples at each point of the grid; nowhere quite nothing."""
-    z = points_in_fans(pool, 4, rng).ravel()
+    z = np.asarray(images.bank.logs).ravel()
     edges = (np.arange(GRID + 1) - 0.5) / (GRID - 1) * 2 * REACH - REACH
     counts = np.histogram2d(np.clip(z.imag, -REACH, REACH), np.clip(z.real, -REACH, REACH), [edges, edges])[0]
     counts += 1e-3 * counts.max()

@@ -2,6 +2,7 @@
 
 import os
 import platform
+import resource
 import statistics
 import tempfile
 import time
@@ -15,15 +16,17 @@ import numpy as np
 import optax
 from scipy.spatial import ConvexHull
 
-from flx.config import FLDM
-from flx.fields.algebra import tangent_noise
+from flx.config import FLDM, FLVAE
+from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.fields.convolution import Filter
 from flx.mesh.assets import read_asset
 from flx.mesh.tables import mesh_tables
 from flx.mesh.timings import geometry_rows
 from flx.mesh.vase import write_vase
 from flx.models.denoiser import Blocks, Denoiser
-from flx.types import MeshTables, Triangulation
+from flx.models.vae import FieldLatentVAE
+from flx.pipeline.codec import initial_params, load_codec
+from flx.types import MeshTables, Queries, RingSamples, Triangulation
 
 PAPER_BLOCKS = (2, 4, 4)
 
@@ -40,6 +43,74 @@ def denoiser_rows(repeats: int = 5) -> list[dict[str, Any]]:
         )
         for filter in ("harmonic", "mlp")
     ]
+
+
+def codec_rows(repeats: int = 3) -> list[dict[str, Any]]:
+    """The FL-VAE: the released one there and back, the paper's transformer, and the floor under both.
+
+    The floor is what a large matrix product reaches; a row's GFLOP/s are what XLA counts, by the seconds.
+    """
+    paper = FLVAE()
+    rng = np.random.default_rng(0)
+    codec, vertices, texels = load_codec(), 30_000, 1024**2
+    z = np.asarray(tangent_noise(jax.random.key(0), (vertices, codec.config.latents)))
+    corners = rng.integers(0, vertices, (texels, 3)).astype(np.int32)
+    logs = np.broadcast_to(np.complex64(0.5), corners.shape)
+    points = Queries(corners, logs, rng.dirichlet(np.ones(3), texels).astype(np.float32))
+    rings = _rings(vertices, codec.config.samples)
+    encode = lambda: codec.encode(rings)  # noqa: E731
+    decode = lambda: codec.decode(points, z)  # noqa: E731
+    rows = [_product(name, repeats) for name in ("float32", "bfloat16")]
+    for name, call, count in ((f"encode/{vertices}", encode, vertices), ("decode/1024²", decode, texels)):
+        seconds = _median_seconds(call, repeats)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+        rows.append(
+            {"name": name, "seconds": seconds, "per_second": round(count / seconds), "peak_bytes": peak}
+        )
+    return [*rows, *_transformer(paper, repeats)]
+
+
+def _product(precision: str, repeats: int, size: int = 2048) -> dict[str, Any]:
+    x = jnp.ones((size, size), precision)
+    product = jax.jit(lambda x: jnp.dot(x, x, preferred_element_type=jnp.float32))
+    seconds = _median_seconds(lambda: jax.block_until_ready(product(x)), repeats)
+    return {"name": f"product/{precision}", "seconds": seconds, "gflops": round(2e-9 * size**3 / seconds)}
+
+
+def _transformer(config: FLVAE, repeats: int, count: int = 128) -> list[dict[str, Any]]:
+    """The paper's encoder on a batch of one-rings, forward and with the gradient of its parameters."""
+    model, params, rings = FieldLatentVAE(config), initial_params(config, 0), _rings(count, config.samples)
+
+    def size_of_codes(params: Any) -> jax.Array:
+        posterior: Any = model.apply(params, rings, method="encode")
+        return jnp.sum(squared_modulus(posterior.mean))
+
+    rows = []
+    for name, function in (("forward", size_of_codes), ("gradient", jax.grad(size_of_codes))):
+        compiled = jax.jit(function).lower(params).compile()
+        seconds = _median_seconds(lambda c=compiled: jax.block_until_ready(c(params)), repeats)
+        flops: Any = compiled.cost_analysis()
+        rows.append(
+            {
+                "name": f"transformer_{name}/{count} rings",
+                "seconds": seconds,
+                "per_second": round(count / seconds),
+                "gflops": round(1e-9 * flops["flops"] / seconds),
+            }
+        )
+    return rows
+
+
+def _rings(count: int, samples: int) -> RingSamples:
+    """Random colours at random points."""
+    rng = np.random.default_rng(1)
+    logs = np.asarray(tangent_noise(jax.random.key(1), (count, samples)))
+    return RingSamples(logs, rng.random((count, samples, 3), np.float32))
+
+
+def _median_seconds(call: Callable[[], Any], repeats: int) -> float:
+    """Of the calls after the first, which compiles and warms up."""
+    return statistics.median([_timed(call)[0] for _ in range(repeats + 1)][1:])
 
 
 def mesh_rows(path: Path | None, texture: Path | None = None) -> list[dict[str, Any]]:

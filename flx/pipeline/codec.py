@@ -17,11 +17,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from flx.config import FLVAE
-from flx.models import vae
+from flx.models.vae import FieldLatentVAE
 from flx.pipeline.runs import write_atomically
 from flx.types import Queries, RingSamples
 
-RELEASED = Path(__file__).parent.parent / "weights" / "flvae.safetensors"
+WEIGHTS = Path(__file__).parent.parent / "weights"
+RELEASED = WEIGHTS / "flvae.safetensors"
+BARYCENTRIC = WEIGHTS / "barycentric.safetensors"  # to compare with: its decoder knows no place in a face
 RINGS = 4096  # one-rings encoded at once
 POINTS = 32_768  # points decoded at once, three corners each
 
@@ -43,20 +45,27 @@ class Codec(NamedTuple):
         return _in_chunks(partial(_mean_code, self.config), self.params, rings, RINGS)
 
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
-        """Colours in [0, 1]: what the corners of each face predict, blended barycentrically."""
-        return _in_chunks(partial(_blend, self.config), (self.params, jnp.asarray(z)), queries, POINTS)
+        """Colours in [0, 1]: what the corners of each face predict, blended."""
+        expanded = _expand(self.config, self.params, jnp.asarray(z))
+        return _in_chunks(partial(_blend, self.config), (self.params, expanded), queries, POINTS)
 
 
 @partial(jax.jit, static_argnums=0)
 def _mean_code(config: FLVAE, params: Any, chunk: RingSamples) -> jax.Array:
-    return vae.encode(config, params, chunk).mean
+    posterior: Any = FieldLatentVAE(config).apply(params, chunk, method="encode")
+    return posterior.mean
 
 
 @partial(jax.jit, static_argnums=0)
-def _blend(config: FLVAE, params_z: tuple[Any, jax.Array], chunk: Queries) -> jax.Array:
-    params, z = params_z
-    predicted = vae.decode(config, params, chunk.logs, z[chunk.vertices])
-    return jnp.clip(jnp.einsum("pk,pkc->pc", chunk.barycentrics, predicted), 0, 1)
+def _expand(config: FLVAE, params: Any, z: jax.Array) -> Any:
+    return FieldLatentVAE(config).apply(params, z, method="expand")
+
+
+@partial(jax.jit, static_argnums=0)
+def _blend(config: FLVAE, params_expanded: tuple[Any, Any], chunk: Queries) -> jax.Array:
+    params, expanded = params_expanded
+    colors: Any = FieldLatentVAE(config).apply(params, expanded, chunk, method="blend")
+    return jnp.clip(colors, 0, 1)
 
 
 def save_codec(path: Path, codec: Codec, card: dict[str, str]) -> None:
@@ -99,7 +108,8 @@ def initial_params(config: FLVAE, seed: int) -> Any:
     key = jax.random.key(seed)
     logs = jnp.zeros((1, config.samples), jnp.complex64)
     rings = RingSamples(logs, jnp.zeros((1, config.samples, 3), jnp.float32))
-    return vae.FieldLatentVAE(config).init(key, rings, logs[:, :1], key)
+    point = Queries(jnp.zeros((1, 3), jnp.int32), logs[:, :3], jnp.full((1, 3), 1 / 3, jnp.float32))
+    return FieldLatentVAE(config).init(key, rings, point, key)
 
 
 def _in_chunks(function: Any, fixed: Any, arrays: Any, size: int) -> np.ndarray:

@@ -1,76 +1,39 @@
-"""One-rings laid over images, made as they are needed: what the field-latent VAE is trained on.
+"""Planar meshes laid over images, made as they are needed: what the field-latent VAE is trained on.
 
-A pool of planar one-rings is built once; a batch takes rings from it, squeezes and turns them, drops
-them on images at a random scale, and reads colours at points drawn uniformly by area.
+A bank of patches (neighbouring vertices of a random triangulation, points of their one-rings, and points of
+the faces between them) is built once, by the functions that sample real meshes. A batch lays some of them on
+images, each at its own scale, direction and stretch, and exchanges the colours of half of them. It is made
+by one compiled function, on the device that trains.
 """
 
+import hashlib
+import math
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex128, Float64, UInt8
+from jax import Array
+from jaxtyping import Complex, Complex64, Float, Int, UInt8
 from PIL import Image
 
 from flx.config import FLVAE, Images
+from flx.mesh.copies import points_in_rings, queries_at
+from flx.mesh.tangent import mean_vertex_radius, tangent_frames
+from flx.mesh.texels import positions
 from flx.mesh.triangulations import planar
-from flx.types import RingSamples, Triangulation
+from flx.pipeline.prints import printed_pages
+from flx.types import Queries, RingSamples, SurfacePoints, Triangulation
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
+SIDE = 512  # pixels of an image
+VERTICES = 24  # of a patch
+SHEETS, SHEET_VERTICES, PATCHES = 24, 600, 64  # triangulations of the bank, their vertices, patches of each
 
 
-class RingBatch(NamedTuple):
-    """One-rings as the encoder sees them, and other points of the same rings to be predicted."""
-
-    rings: RingSamples
-    queries: Any  # Complex64 [B, Q]
-    colors: Any  # Float32 [B, Q, 3]
-
-
-class Fans(NamedTuple):
-    """One-rings as fans of triangles around the origin, in mean radii; spare triangles have no area."""
-
-    corners: Complex128[Any, "R T 2"]
-    areas: Float64[Any, "R T"]  # cumulated and normalised: the last is 1
-
-
-def fans(triangulation: Triangulation) -> Fans:
-    """The one-rings of a planar triangulation, boundary vertices included."""
-    z = triangulation.vertices[:, 0] + 1j * triangulation.vertices[:, 1]
-    faces = triangulation.faces
-    corners = np.concatenate([np.roll(faces, -k, axis=1) for k in range(3)])
-    corners = corners[np.argsort(corners[:, 0], kind="stable")]
-    valences = np.bincount(corners[:, 0], minlength=len(z))
-    slots = np.arange(len(corners)) - np.repeat(np.cumsum(valences) - valences, valences)
-    ring = np.zeros((len(z), valences.max(), 2), complex)
-    ring[corners[:, 0], slots] = z[corners[:, 1:]] - z[corners[:, :1]]
-    areas = 0.5 * np.imag(np.conj(ring[..., 0]) * ring[..., 1])
-    radius = np.sqrt(areas.sum() / 3 / (np.pi * len(z)))
-    cumulated = np.cumsum(areas, -1)
-    used = valences > 0
-    return Fans(ring[used] / radius, (cumulated / np.maximum(cumulated[:, -1:], 1e-300))[used])
-
-
-def ring_pool(rng: np.random.Generator, meshes: int = 24, vertices: int = 600) -> Fans:
-    """Rings of planar triangulations from even to wholly random."""
-    pools = [
-        fans(planar(vertices, (1.0, 1.0), rng, irregularity=k / (meshes - 1) * 0.7)) for k in range(meshes)
-    ]
-    slots = max(pool.corners.shape[1] for pool in pools)
-    corners = [np.pad(p.corners, ((0, 0), (0, slots - p.corners.shape[1]), (0, 0))) for p in pools]
-    areas = [np.pad(p.areas, ((0, 0), (0, slots - p.areas.shape[1])), mode="edge") for p in pools]
-    return Fans(np.concatenate(corners), np.concatenate(areas))
-
-
-def points_in_fans(fan: Fans, count: int, rng: np.random.Generator) -> Complex128[Any, "R count"]:
-    """Points uniform by area in each fan, one in each of `count` strata of its area."""
-    rings = len(fan.areas)
-    strata = (np.arange(count) + rng.random((rings, count))) / count
-    triangle = np.minimum((strata[:, :, None] >= fan.areas[:, None, :]).sum(-1), fan.areas.shape[1] - 1)
-    a, b = rng.random((2, rings, count))
-    fold = a + b > 1
-    a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
-    corners = np.take_along_axis(fan.corners, triangle[..., None], axis=1)
-    return a * corners[..., 0] + b * corners[..., 1]
+# --- images
 
 
 def load_images(folder: Path) -> UInt8[Any, "N 512 512 3"]:
@@ -86,7 +49,7 @@ def load_images(folder: Path) -> UInt8[Any, "N 512 512 3"]:
     return np.stack([centred_crop(Image.open(path)) for path in paths])
 
 
-def centred_crop(image: Image.Image, size: int = 512) -> UInt8[Any, "512 512 3"]:
+def centred_crop(image: Image.Image, size: int = SIDE) -> UInt8[Any, "512 512 3"]:
     """The middle of the image; one that is too small is enlarged first."""
     image = image.convert("RGB")
     scale = size / min(image.size)
@@ -97,73 +60,206 @@ def centred_crop(image: Image.Image, size: int = 512) -> UInt8[Any, "512 512 3"]
     return np.asarray(image.crop((left, top, left + size, top + size)))
 
 
+# --- patches of planar meshes
+
+
+class Patches(NamedTuple):
+    """Parts of planar meshes. Places are where points lie in the plane, in mean vertex radii."""
+
+    logs: Complex64[Any, "B K S"]  # of the points of each vertex's one-ring
+    places: Complex64[Any, "B K S"]
+    queries: Queries  # [B, Q, …] in the faces between the patch's vertices, which they number from 0
+    query_places: Complex64[Any, "B Q"]
+
+
+def bank_of_patches(samples: int, queries: int, seed: int) -> Patches:
+    """Patches of triangulations from even to wholly random."""
+    rng = np.random.default_rng(seed)
+    bank = []
+    for irregularity in np.linspace(0, 0.7, SHEETS):
+        sheet = planar(SHEET_VERTICES, (1.0, 1.0), rng, irregularity)
+        points, logs = points_in_rings(sheet, samples, rng)
+        places = _places(sheet, points).reshape(logs.shape)
+        for center in rng.choice(SHEET_VERTICES, PATCHES, replace=False):
+            bank.append(_patch(sheet, int(center), logs, places, queries, rng))
+    return jax.tree.map(lambda *parts: np.stack(parts), *bank)
+
+
+def _patch(
+    sheet: Triangulation, center: int, logs: Any, places: Any, queries: int, rng: np.random.Generator
+) -> Patches:
+    """The vertices nearest to one of them, and points uniform in the faces that lie wholly between them."""
+    distances = np.linalg.norm(sheet.vertices - sheet.vertices[center], axis=1)
+    chosen = np.argsort(distances)[:VERTICES]
+    numbers = np.full(len(distances), -1, np.int32)
+    numbers[chosen] = np.arange(VERTICES)
+    between = np.flatnonzero((numbers[sheet.faces] >= 0).all(1))
+    points = _points_in_faces(sheet, between, queries, rng)
+    asked = queries_at(points, sheet, tangent_frames(sheet))
+    origin = places[center].mean()
+    return Patches(
+        logs[chosen],
+        (places[chosen] - origin).astype(np.complex64),
+        asked._replace(vertices=numbers[asked.vertices]),
+        (_places(sheet, points) - origin).astype(np.complex64),
+    )
+
+
+def _points_in_faces(sheet: Triangulation, faces: Any, count: int, rng: np.random.Generator) -> SurfacePoints:
+    a, b, c = sheet.vertices[sheet.faces[faces].T]
+    cumulated = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    strata = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
+    picked = faces[np.minimum(np.searchsorted(cumulated, strata), len(faces) - 1)]
+    return SurfacePoints(picked, rng.dirichlet(np.ones(3), count))
+
+
+def _places(sheet: Triangulation, points: SurfacePoints) -> Any:
+    where = positions(sheet.vertices, sheet.faces, points)
+    return (where[:, 0] + 1j * where[:, 1]) / mean_vertex_radius(sheet)
+
+
+# --- batches
+
+
+class PatchBatch(NamedTuple):
+    """Patches with their colours, as one mesh of many parts."""
+
+    rings: RingSamples  # [V, S]
+    queries: Queries  # [P, 3]
+    colors: Float[Any, "P 3"]  # at the queries
+
+
+class Lay(NamedTuple):
+    """How points of the plane come to lie on images, and what becomes of the colours found there."""
+
+    image: Int[Array, "B"]
+    scale: Float[Array, "B"]  # pixels in a mean vertex radius
+    turn: Complex[Array, "B"]
+    stretch: Float[Array, "B"]  # along `grain`, and its inverse across: areas stay
+    grain: Complex[Array, "B"]
+    corner: Float[Array, "B 2"]  # where on the image, from 0 to 1 of the room there is
+    channels: Int[Array, "B 3"]
+    contrast: Float[Array, "B"]
+    target: Float[Array, "B 3"]  # added to the mean colour
+    painted: Float[Array, "B"]  # 1 where colours are exchanged, else 0
+
+
+def random_lay(key: Array, count: int, images: int, config: Images) -> Lay:
+    """Half keep the photograph's colours; the others get the range of print and paint: channels exchanged,
+    contrast up to ×3 and also negative, about a random level; what leaves [0, 1] is clipped there."""
+    keys = iter(jax.random.split(key, 11))
+
+    def uniform(low: float, high: float, *shape: int) -> Array:
+        return jax.random.uniform(next(keys), (count, *shape), minval=low, maxval=high)
+
+    return Lay(
+        image=jax.random.randint(next(keys), (count,), 0, images),
+        scale=jnp.exp(uniform(math.log(config.smallest), math.log(config.largest))),
+        turn=jnp.exp(1j * uniform(0.0, 2 * np.pi)),
+        stretch=jnp.exp(0.075 * jax.random.normal(next(keys), (count,))),
+        grain=jnp.exp(1j * uniform(0.0, np.pi)),
+        corner=uniform(0.0, 1.0, 2),
+        channels=jnp.argsort(uniform(0.0, 1.0, 3), -1),
+        contrast=jnp.exp(uniform(-0.7, 1.1)) * jnp.where(uniform(0.0, 1.0) < 0.25, -1.0, 1.0),
+        target=0.35 * jax.random.normal(next(keys), (count, 3)),
+        painted=1.0 * (uniform(0.0, 1.0) < 0.5),
+    )
+
+
+def colors_at(
+    images: UInt8[Array, "N H W 3"], lay: Lay, *places: Complex[Array, "B ..."]
+) -> tuple[Float[Array, "B ... 3"], ...]:
+    """Colours in [0, 1] of each patch's places, laid on its image. The first places set reach and level."""
+    found = [_pixels(lay, where) for where in places]
+    room = jnp.array([images.shape[2], images.shape[1]]) - 1.0
+    reach = jnp.max(jnp.abs(found[0]), axis=tuple(range(1, found[0].ndim)))
+    reach = jnp.minimum(reach[:, None], room / 2 - 1)
+    x, y = (reach + (room - 2 * reach) * lay.corner).T
+    read = [bilinear(images, lay.image, _like(x, p) + p.real, _like(y, p) + p.imag) for p in found]
+    level = jnp.mean(read[0], axis=tuple(range(1, read[0].ndim)))
+    return tuple(_recolored(lay, level, colors) for colors in read)
+
+
+def _pixels(lay: Lay, places: Complex[Array, "B *P"]) -> Complex[Array, "B *P"]:
+    along = places * _like(jnp.conj(lay.grain), places)
+    stretch = _like(lay.stretch, places)
+    squeezed = jax.lax.complex(along.real * stretch, along.imag / stretch)
+    return squeezed * _like(lay.grain * lay.turn * lay.scale, places)
+
+
+def _recolored(lay: Lay, level: Float[Array, "B"], colors: Float[Array, "B *P 3"]) -> Float[Array, "B *P 3"]:
+    mixed = jnp.take_along_axis(colors, _like(lay.channels, colors), -1)
+    target = jnp.clip(level[:, None] + lay.target, 0, 1)
+    new = _like(target, colors) + _like(lay.contrast, colors) * (mixed - _like(level, colors))
+    return jnp.where(_like(lay.painted, colors) > 0, jnp.clip(new, 0, 1), colors)
+
+
+def _like(x: Array, y: Array) -> Array:
+    """One value (or colour) of each patch beside an array of its points."""
+    middle = (1,) * (y.ndim - x.ndim)
+    return x.reshape(x.shape[:1] + middle + x.shape[1:])
+
+
 def bilinear(
-    images: UInt8[Any, "N H W 3"], which: Any, x: Float64[Any, "R P"], y: Float64[Any, "R P"]
-) -> Any:
-    """Colours in [0, 1] at pixel positions inside image `which` of each ring, clamped at the border."""
+    images: UInt8[Array, "N H W 3"], image: Int[Array, "B"], x: Float[Array, "B *P"], y: Float[Array, "B *P"]
+) -> Float[Array, "B *P 3"]:
+    """Colours in [0, 1] at pixel positions inside each patch's image, clamped at its border."""
     height, width = images.shape[1:3]
-    x, y = np.clip(x, 0, width - 1.001), np.clip(y, 0, height - 1.001)
-    column, row = x.astype(np.int64), y.astype(np.int64)
-    fx, fy = (x - column)[..., None].astype(np.float32), (y - row)[..., None].astype(np.float32)
-    flat = images.reshape(-1, 3)
-    base = (which[:, None] * height + row) * width + column
-    top = flat[base] * (1 - fx) + flat[base + 1] * fx
-    bottom = flat[base + width] * (1 - fx) + flat[base + width + 1] * fx
-    return ((top * (1 - fy) + bottom * fy) / 255).astype(np.float32)
+    x, y = jnp.clip(x, 0, width - 1.001), jnp.clip(y, 0, height - 1.001)
+    column, row, which = x.astype(jnp.int32), y.astype(jnp.int32), _like(image, x)
+    right, down = (x - column)[..., None], (y - row)[..., None]
+
+    def at(rows: Array, columns: Array) -> Array:
+        return images[which, rows, columns].astype(jnp.float32)
+
+    top = at(row, column) * (1 - right) + at(row, column + 1) * right
+    bottom = at(row + 1, column) * (1 - right) + at(row + 1, column + 1) * right
+    return (top * (1 - down) + bottom * down) / 255
 
 
-class ImageRings:
-    """Batches of one-rings over the images of a folder; batch `step` is the same in every run."""
+def one_mesh(patches: Patches, ring_colors: Array, query_colors: Array) -> PatchBatch:
+    """The patches side by side: each numbers its vertices after those of the patches before it."""
+    count, vertices = patches.logs.shape[:2]
+    first = vertices * jnp.arange(count, dtype=jnp.int32)[:, None, None]
+    queries = patches.queries._replace(vertices=patches.queries.vertices + first)
+    flat = partial(jax.tree.map, lambda a: a.reshape(-1, *a.shape[2:]))
+    return PatchBatch(flat(RingSamples(patches.logs, ring_colors)), flat(queries), flat(query_colors))
+
+
+class ImagePatches:
+    """Batches of patches over images of a folder and printed pages; batch `step` is always the same."""
 
     def __init__(self, config: Images, model: FLVAE, batch: int) -> None:
-        self.config, self.model, self.batch = config, model, batch
-        self.images = load_images(Path(config.folder))
-        self.pool = ring_pool(np.random.default_rng(config.seed))
+        images = load_images(Path(config.folder))
+        prints = printed_pages(round(config.prints * len(images)), SIDE, config.seed)
+        images = np.concatenate([images, prints]) if len(prints) else images
+        self.digest = hashlib.sha256(images.tobytes()).hexdigest()
+        self.config, self.batch = config, batch
+        self.images = jnp.asarray(images)
+        bank = bank_of_patches(model.samples, config.queries * VERTICES, config.seed)
+        self.bank: Patches = jax.tree.map(jnp.asarray, bank)
 
-    def __call__(self, step: int) -> RingBatch:
-        rng = np.random.default_rng([self.config.seed, step])
-        n, samples = self.batch, self.model.samples
-        chosen = rng.integers(len(self.pool.areas), size=n)
-        fan = Fans(self.pool.corners[chosen], self.pool.areas[chosen])
-        logs = np.concatenate(
-            [points_in_fans(fan, count, rng) for count in (samples, self.config.queries)], axis=1
-        )
-        logs = squeeze(logs, np.exp(rng.normal(0, 0.1, (n, 1))), rng.random((n, 1)))
-        colors = self.read_colors(logs, rng)
-        logs = logs.astype(np.complex64)
-        return RingBatch(
-            RingSamples(logs[:, :samples], colors[:, :samples]), logs[:, samples:], colors[:, samples:]
-        )
+    def __call__(self, step: int) -> PatchBatch:
+        return _batch(self.bank, self.images, self.key(step), self.batch, self.config)
 
-    def read_colors(self, logs: Complex128[Any, "R P"], rng: np.random.Generator) -> Any:
-        """Lay each ring on a random image at a random place, direction and scale."""
-        n = len(logs)
-        height, width = self.images.shape[1:3]
-        low, high = np.log([self.config.smallest, self.config.largest])
-        pixels = np.exp(rng.uniform(low, high, (n, 1))) * np.exp(2j * np.pi * rng.random((n, 1))) * logs
-        reach = np.minimum(np.abs(pixels).max(1, keepdims=True), min(height, width) / 2 - 1)
-        x = reach + (width - 1 - 2 * reach) * rng.random((n, 1)) + pixels.real
-        y = reach + (height - 1 - 2 * reach) * rng.random((n, 1)) + pixels.imag
-        colors = bilinear(self.images, rng.integers(len(self.images), size=n), x, y)
-        return recolor(colors, rng)
+    def lay(self, step: int) -> Lay:
+        """Where batch `step` lies, for who reads other points there."""
+        return random_lay(self.key(step), self.batch, len(self.images), self.config)
+
+    def key(self, step: int) -> Array:
+        """The randomness of batch `step`."""
+        return jax.random.fold_in(jax.random.key(self.config.seed), step)
 
 
-def squeeze(z: Complex128[Any, "R P"], ratio: Any, turn: Any) -> Complex128[Any, "R P"]:
-    """Stretch by √ratio along a direction and by its inverse across it: areas stay."""
-    direction = np.exp(1j * np.pi * turn)
-    along = z * np.conj(direction)
-    return (along.real * np.sqrt(ratio) + 1j * along.imag / np.sqrt(ratio)) * direction
+@partial(jax.jit, static_argnums=(3, 4))
+def _batch(bank: Patches, images: Array, key: Array, count: int, config: Images) -> PatchBatch:
+    chosen = jax.random.randint(jax.random.fold_in(key, 1), (count,), 0, len(bank.logs))
+    patches = jax.tree.map(lambda a: a[chosen], bank)
+    lay = random_lay(key, count, len(images), config)
+    return one_mesh(patches, *colors_at(images, lay, patches.places, patches.query_places))
 
 
-def recolor(colors: Any, rng: np.random.Generator) -> Any:
-    """Half of the rings keep the photograph's colours; the others get the range of print and paint:
-    channels exchanged, contrast up to ×3 about a random level, clipped to near-black and near-white."""
-    n = len(colors)
-    order = np.argsort(rng.random((n, 1, 3)), axis=-1)
-    mixed = np.take_along_axis(colors, np.broadcast_to(order, colors.shape), axis=-1)
-    contrast = np.exp(rng.uniform(-0.7, 1.1, (n, 1, 1))) * rng.choice([-1.0, 1.0], (n, 1, 1), p=[0.25, 0.75])
-    level = mixed.mean((1, 2), keepdims=True)
-    target = np.clip(level + rng.normal(0, 0.35, (n, 1, 3)), 0, 1)
-    painted = np.clip(target + contrast * (mixed - level), 0, 1)
-    plain = rng.random((n, 1, 1)) < 0.5
-    return np.where(plain, colors, painted).astype(np.float32)
+def first_rings(patches: ImagePatches, start: int = 0, count: int = 16_384) -> RingSamples:
+    """At least `count` one-rings of the batches from `start` on: what principal components are taken from."""
+    batches = range(start, start - (-count // (patches.batch * VERTICES)))
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(patches(step).rings for step in batches))

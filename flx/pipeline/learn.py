@@ -26,13 +26,11 @@ from flx.models.mixed import MixedDenoiser
 from flx.models.vae import FieldLatentVAE, flvae_loss
 from flx.pipeline.bake import bake_back, write_baked
 from flx.pipeline.codec import Codec, initial_params, load_codec, save_codec
-from flx.pipeline.images import ImageRings, RingBatch
+from flx.pipeline.images import VERTICES, ImagePatches, PatchBatch, first_rings
 from flx.pipeline.prepare import Cache, Prepared, open_cache, prepare
 from flx.pipeline.runs import Run, open_run
 from flx.pipeline.train import LossFn, train
 from flx.types import MeshTables
-
-FIRST_RINGS = 16_384  # one-rings that the principal components are taken from
 
 
 def learn(experiment: Experiment, root: Path) -> Run:
@@ -47,35 +45,35 @@ def learn(experiment: Experiment, root: Path) -> Run:
 
 def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     """Train a field-latent VAE on a folder of images; the run folder gets `flvae.safetensors`."""
-    rings = ImageRings(experiment.images, experiment.model, experiment.train.batch)
-    run = open_run(root, experiment, hashlib.sha256(rings.images.tobytes()).hexdigest())
+    patches = ImagePatches(experiment.images, experiment.model, experiment.train.batch)
+    run = open_run(root, experiment, patches.digest)
     model = FieldLatentVAE(experiment.model)
 
-    def loss(params: Any, batch: RingBatch, key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(params: Any, batch: PatchBatch, key: Array) -> tuple[Array, dict[str, Array]]:
         answer: Any = model.apply(params, batch.rings, batch.queries, key)
-        predicted, posterior = answer
-        return flvae_loss(batch.colors, predicted, posterior, experiment.kl_weight)
+        blended, corners, posterior = answer
+        if experiment.learns == "blend":
+            return flvae_loss(batch.colors, blended, posterior, experiment.kl_weight)
+        return flvae_loss(batch.colors[:, None], corners, posterior, experiment.kl_weight)
 
-    state = train(run, experiment.train, starting_params(experiment, rings), loss, rings)
+    state = train(run, experiment.train, starting_params(experiment, patches), loss, patches)
     card = {
         "steps": str(experiment.train.steps),
-        "rings": str(experiment.train.steps * experiment.train.batch),
-        "images": str(len(rings.images)),
+        "rings": str(experiment.train.steps * experiment.train.batch * VERTICES),
+        "images": str(len(patches.images)),
         "kl_weight": str(experiment.kl_weight),
     }
     save_codec(run.folder / "flvae.safetensors", Codec(experiment.model, state.ema), card)
     return run
 
 
-def starting_params(experiment: FLVAEExperiment, rings: ImageRings) -> Any:
+def starting_params(experiment: FLVAEExperiment, patches: ImagePatches) -> Any:
     """Random parameters; those of the frame codec start from the principal components of real rings."""
     params = initial_params(experiment.model, experiment.train.seed)
     if experiment.model.encoder != "frame":
         return params
-    count = -(-FIRST_RINGS // experiment.train.batch)
     # Batches that no step of the training sees.
-    first = [rings(experiment.train.steps + k).rings for k in range(count)]
-    return frame.start_from_principal_components(params, jax.tree.map(lambda *a: np.concatenate(a), *first))
+    return frame.start_from_principal_components(params, first_rings(patches, experiment.train.steps))
 
 
 # --- the field-latent diffusion model

@@ -12,8 +12,10 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from PIL import Image
 from tqdm import tqdm
 
 from flx.mesh.assets import Asset, read_asset
@@ -30,14 +32,14 @@ from flx.pipeline.baselines import (
     open_images,
     vertex_colours,
 )
-from flx.pipeline.codec import load_codec
+from flx.pipeline.codec import BARYCENTRIC, load_codec
 from flx.pipeline.evaluate import fidelity
 from flx.pipeline.images import SUFFIXES
 from flx.pipeline.intrinsic import intrinsic_field
 from flx.pipeline.perceptual import HINT, installed_judges
 from flx.pipeline.runs import write_atomically
 
-METHODS = ("flvae", "inf", "vertex_colours", "pca", "frame_pca")
+METHODS = ("flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca")
 FITTED = ("pca", "frame_pca")  # to images
 SAMPLES = 64  # colours a one-ring
 Row = dict[str, Any]
@@ -59,7 +61,7 @@ def reconstruction_table(
     numbers of vertices. The table is written after each new row. Returned are the rows that were asked for.
     `seconds` are the method's own, from samples to texels, learning included where it learns a mesh.
 
-    A mesh whose file names no texture is given as MESH:TEXTURE.
+    A mesh whose file names no texture is given as MESH:TEXTURE; an image is laid on a flat sheet.
 
     Raises ValueError where there is no mesh, a mesh cannot be read, or a method is unknown.
     """
@@ -115,8 +117,25 @@ def reconstruction_table(
 
 
 def _read_asset(mesh: str) -> Asset:
+    if Path(mesh).suffix.lower() in SUFFIXES:
+        return read_sheet(Path(mesh))
     path, _, texture = ("", "", "") if Path(mesh).exists() else mesh.rpartition(":")
     return read_asset(Path(path or mesh), Path(texture) if path else None)
+
+
+def read_sheet(image: Path) -> Asset:
+    """A rectangle of the image's proportions that shows the whole of it.
+
+    Raises ValueError or OSError where the image cannot be read.
+    """
+    with Image.open(image) as opened:
+        width, height = opened.size
+    corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    lines = [f"v {x * width / height} {y} 0\nvt {x} {y}\n" for x, y in corners]
+    with TemporaryDirectory() as folder:
+        sheet = Path(folder) / f"{image.stem}.obj"
+        sheet.write_text("".join(lines) + "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")
+        return read_asset(sheet, image)
 
 
 class _Makers(dict[str, Method]):
@@ -126,6 +145,7 @@ class _Makers(dict[str, Method]):
         opened = cache(lambda: open_images(images or Path()))
         self.makers: dict[str, Callable[[], Method]] = {
             "flvae": lambda: field_latents(load_codec(weights)),
+            "barycentric": lambda: field_latents(load_codec(BARYCENTRIC)),
             "inf": lambda: intrinsic_field,
             "vertex_colours": lambda: vertex_colours,
             "pca": lambda: components(opened()),
@@ -142,6 +162,8 @@ def _contents(methods: Iterable[str], images: Path | None, weights: str | None) 
     contents = dict.fromkeys(methods, "")
     if "flvae" in contents:
         contents["flvae"] = load_codec(weights).digest()
+    if "barycentric" in contents:
+        contents["barycentric"] = load_codec(BARYCENTRIC).digest()
     if images and any(name in FITTED for name in contents):
         seen = hashlib.sha256()
         for path in sorted(p for p in images.rglob("*") if p.suffix.lower() in SUFFIXES):
