@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from shapes import random_sphere
 
 from flx.mesh.repair import repair, shape
+from flx.mesh.rows import distinct_rows
 
 
 def soup(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,3 +139,12 @@ def test_a_sheet_with_a_back_keeps_one_side():
 def test_nothing_left_is_an_error():
     with pytest.raises(ValueError, match="no triangles"):
         repair(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+
+
+@given(st.integers(1, 40), st.integers(1, 4), st.booleans(), st.integers(0, 1000))
+def test_distinct_rows_are_those_of_numpy(count, width, whole, seed):
+    rows = np.random.default_rng(seed).integers(-1, 2, (count, width)) * (1 if whole else -1.0)  # with −0.0
+    first, which = distinct_rows(rows)
+    expected = np.unique(rows + 0, axis=0, return_index=True, return_inverse=True)
+    for ours, theirs in zip((rows[first], first, which), expected, strict=True):
+        np.testing.assert_array_equal(ours, theirs.reshape(ours.shape))
