@@ -20,6 +20,7 @@ from flx.mesh.rows import distinct_rows
 from flx.mesh.topology import mark, topology
 
 WELD_TOLERANCE = 1e-9  # of the diagonal: round-off of a float64 transform, far below a float32 step
+MOST_NEAR = (16, 1 << 22)  # for each point, and in all: ordered pairs of points to be welded
 
 
 class Repairs(NamedTuple):
@@ -56,11 +57,20 @@ class Repaired(NamedTuple):
 
 
 def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
-    """For each point the first one at the same place, within `WELD_TOLERANCE` of the diagonal."""
+    """For each point the first one at the same place, within `WELD_TOLERANCE` of the diagonal.
+
+    Raises ValueError where that is nearly everywhere, since one point is so far off.
+    """
     first, which = distinct_rows(points)
     unique = points[first]
     tolerance = WELD_TOLERANCE * np.linalg.norm(np.ptp(unique, axis=0))
-    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")
+    tree = KDTree(unique)
+    if tree.count_neighbors(tree, tolerance) > MOST_NEAR[0] * len(unique) + MOST_NEAR[1]:
+        stray = unique[np.abs(unique - np.median(unique, axis=0)).max(1).argmax()]
+        raise ValueError(
+            f"a vertex at {stray.tolist()} is so far off that the others are one point; remove it"
+        )
+    pairs = tree.query_pairs(tolerance, output_type="ndarray")
     _, group = connected_components(_graph(pairs, len(unique)), directed=False)
     lowest = np.full(len(unique), len(points))
     np.minimum.at(lowest, group, first)
