@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from flx.mesh.raster import CHUNK
 from flx.mesh.tables import mesh_tables
 from flx.mesh.tangent import TangentFrames, corner_logs, tangent_frames
 from flx.mesh.texels import face_normals, locate, positions, ring_points, surface_colors
@@ -36,11 +37,13 @@ def make_copy(mesh: TexturedMesh, vertices: int, samples: int, slots: int, seed:
 def sample_rings(mesh: TexturedMesh, triangulation: Triangulation, samples: int, seed: int) -> RingSamples:
     """Colours of `mesh` at points uniform by area in each one-ring of the copy."""
     points, corners = ring_points(triangulation, samples, np.random.default_rng(seed))
-    frames = tangent_frames(triangulation)
-    logs = corner_logs(frames, triangulation, points.faces, points.barycentrics)
+    frames, logs = tangent_frames(triangulation), np.empty(corners.size, np.complex64)
+    for start in range(0, len(logs), CHUNK):  # the logs of all corners would be most of a worker's memory
+        part = slice(start, start + CHUNK)
+        seen = corner_logs(frames, triangulation, points.faces[part], points.barycentrics[part])
+        logs[part] = np.take_along_axis(seen, corners.reshape(-1, 1)[part], axis=1)[:, 0]
     hits = transfer(points, triangulation.vertices, triangulation.faces, mesh.vertices, mesh.faces)
-    logs = np.take_along_axis(logs, corners.reshape(-1, 1), axis=1).reshape(corners.shape)
-    return RingSamples(logs.astype(np.complex64), surface_colors(mesh, hits).reshape(*corners.shape, 3))
+    return RingSamples(logs.reshape(corners.shape), surface_colors(mesh, hits).reshape(*corners.shape, 3))
 
 
 def queries(mesh: TexturedMesh, points: SurfacePoints, triangulation: Triangulation) -> Queries:
