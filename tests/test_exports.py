@@ -56,6 +56,18 @@ def colored(folder: Path) -> Path:
     return folder / "ball.ply"
 
 
+@pytest.mark.parametrize("block", [1, 7, 162])
+def test_the_text_of_an_obj_is_the_same_wherever_its_rows_are_cut(tmp_path, monkeypatch, block):
+    asset = read_asset(colored(tmp_path))
+    colors = np.zeros((asset.report.vertices_read, 3), np.float32)
+    write_obj_colors(asset, colors, tmp_path / "whole.obj")
+    monkeypatch.setattr("flx.mesh.exports.BLOCK", block)
+    write_obj_colors(asset, colors, tmp_path / "cut.obj")
+    text = (tmp_path / "whole.obj").read_text()
+    assert text == (tmp_path / "cut.obj").read_text()
+    assert text.count("\nv ") == text.count("\nvn ") == 162 and text.count("\nf ") == 320
+
+
 def test_an_obj_is_read_back_with_the_same_corners_names_and_images(tmp_path):
     asset = read_asset(textured(tmp_path))
     rng = np.random.default_rng(0)

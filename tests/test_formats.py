@@ -60,6 +60,15 @@ def test_obj_has_many_spellings(rewrite):
     assert np.array_equal(corners(parse_obj(rewrite(OBJ), "a").parts), corners(parse_obj(OBJ, "a").parts))
 
 
+@pytest.mark.parametrize("piece", [0, 1, 7, 60])
+def test_lines_keep_their_numbers_wherever_the_text_is_cut(piece, monkeypatch):
+    monkeypatch.setattr("flx.mesh.obj.PIECE", piece)
+    text = OBJ.replace("f 1/1 2/2", "\n\nf 1/1 2/2")
+    assert np.array_equal(corners(parse_obj(text, "a").parts), corners(parse_obj(OBJ, "a").parts))
+    with pytest.raises(ValueError, match="line 14 names v 9"):
+        parse_obj(text.replace("f 1/1 4/2", "f 9/1 4/2"), "a")
+
+
 def test_corners_with_and_without_normals_may_mix():
     text = OBJ.replace("usemtl", "vn 0 0 1\nusemtl").replace("f 1/1 3/2 2/3", "f 1/1/1 3/2/1 2/3/1")
     part = parse_obj(text, "a").parts[0]

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex64
 
+from flx.mesh.raster import CHUNK
 from flx.mesh.tables import mesh_tables
 from flx.mesh.tangent import TangentFrames, corner_logs, tangent_frames
 from flx.mesh.texels import face_normals, locate, positions, ring_points, surface_colors
@@ -46,9 +47,12 @@ def points_in_rings(
 ) -> tuple[SurfacePoints, Complex64[Any, "V S"]]:
     """Points uniform by area in each one-ring, those of vertex v from v·samples on, and how v sees them."""
     points, corners = ring_points(triangulation, samples, rng)
-    logs = corner_logs(tangent_frames(triangulation), triangulation, points.faces, points.barycentrics)
-    own = np.take_along_axis(logs, corners.reshape(-1, 1), axis=1)
-    return points, own.reshape(corners.shape).astype(np.complex64)
+    frames, logs = tangent_frames(triangulation), np.empty(corners.size, np.complex64)
+    for start in range(0, len(logs), CHUNK):  # the logs of all corners would be most of a worker's memory
+        part = slice(start, start + CHUNK)
+        seen = corner_logs(frames, triangulation, points.faces[part], points.barycentrics[part])
+        logs[part] = np.take_along_axis(seen, corners.reshape(-1, 1)[part], axis=1)[:, 0]
+    return points, logs.reshape(corners.shape)
 
 
 def queries(mesh: TexturedMesh, points: SurfacePoints, triangulation: Triangulation) -> Queries:

@@ -6,16 +6,18 @@ is there whole or not at all, and the OBJ comes last: it never names what is not
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int, UInt8
+from jaxtyping import Float32, Float64, Int, Num, UInt8
 
 from flx.mesh.assets import Asset, encode_png
 from flx.mesh.glb import write_file
 from flx.mesh.texels import quantized
+
+BLOCK = 1 << 14  # rows written at a time
 
 
 def write_obj(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | Path) -> None:
@@ -71,7 +73,7 @@ def write_ply_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
 
 
 def _obj_lines(asset: Asset, library: str | None, colors: Float32[Any, "V 3"] | None = None) -> Iterator[str]:
-    """The text of an OBJ; texture coordinates run up there."""
+    """The text of an OBJ, in blocks of lines; texture coordinates run up there."""
     yield from ["# flx", *([f"mtllib {library}"] if library else [])]
     rows = np.concatenate([part.positions for part in asset.parts])
     yield from _numbers("v", rows if colors is None else np.concatenate([rows, colors], 1))
@@ -90,13 +92,19 @@ def _obj_lines(asset: Asset, library: str | None, colors: Float32[Any, "V 3"] | 
         if library:
             yield f"usemtl {names[part.material]}"
         between = "//" if part.uvs is None else "/"
-        text = np.stack(corners, -1).astype(str).tolist()
-        yield from ("f " + " ".join(between.join(corner) for corner in face) for face in text)
+        face = "f " + " ".join([between.join(["%d"] * len(corners))] * 3)
+        yield from _rows(face.__mod__, np.stack(corners, -1).reshape(len(faces), -1))
     yield ""
 
 
 def _numbers(key: str, rows: Float64[Any, "N K"]) -> Iterator[str]:
-    return (f"{key} " + " ".join(map(repr, row)) for row in rows.tolist())
+    return _rows(lambda row: f"{key} " + " ".join(map(repr, row)), rows)
+
+
+def _rows(line: Callable[[tuple], str], rows: Num[Any, "N K"]) -> Iterator[str]:
+    """A line for each row. As Python's numbers all rows at once take ten times the memory of the text."""
+    for start in range(0, len(rows), BLOCK):
+        yield "\n".join(line(tuple(row)) for row in rows[start : start + BLOCK].tolist())
 
 
 def _numbered_faces(asset: Asset) -> Iterator[Int[Any, "F 3"]]:

@@ -56,10 +56,7 @@ def _read_gltf(path: Path) -> Contents:
 
 
 def _read_obj(path: Path) -> Contents:
-    content = read_file(path)
-    if b"\0" in content:
-        raise BadFile("not a text, as an OBJ file is; export it again")
-    found = parse_obj(content.decode("utf-8", errors="replace"), path.stem)
+    found = parse_obj(_read_text(path), path.stem)
     defined: dict[str, Material] = {}
     hint = "no material file, mtllib, is named" if not found.libraries else "no map_Kd in the material file"
     for library in dict.fromkeys(found.libraries):
@@ -77,6 +74,13 @@ def _read_obj(path: Path) -> Contents:
         missing_images=(),
         polygons=found.polygons,
     )
+
+
+def _read_text(path: Path) -> str:
+    content = read_file(path)
+    if b"\0" in content:
+        raise BadFile("not a text, as an OBJ file is; export it again")
+    return content.decode("utf-8", errors="replace")
 
 
 def _read_ply(path: Path) -> Contents:

@@ -13,7 +13,9 @@ from jaxtyping import Float32, Float64, Int
 
 from flx.mesh.files import BadFile, check_faces, numbers
 from flx.mesh.gltf import Material, Part
+from flx.mesh.rows import distinct_rows
 
+PIECE = 1 << 20  # characters cut into lines at a time
 CHUNK = 1 << 15  # rows handled at a time
 MOST_MATERIALS = 1 << 12
 OMITTED = 1 << 62  # stands for the vt of `1//2`
@@ -58,14 +60,17 @@ def parse_obj(text: str, name: str) -> Obj:
         raise BadFile(f"{len(numbered):,} materials, more than {MOST_MATERIALS:,}; join some")
     of_face = np.array([len(numbered), *of_use])[np.searchsorted(uses.places, faces.places)]
     names, parts = list(numbered), []
-    for material in np.unique(of_face):
-        chosen = corners[triangles[of_face[owners] == material]]
-        rows, part_faces = unmerge(chosen.reshape(-1, 3))
+    of_triangle = of_face[owners]
+    order = np.argsort(of_triangle, kind="stable")
+    used, starts = np.unique(of_triangle[order], return_index=True)
+    groups = np.split(order, starts)[1:]
+    for material, members in zip(used.tolist(), groups, strict=True):
+        rows, part_faces = unmerge(corners[triangles[members]].reshape(-1, 3))
         v, vt, vn = rows.T
         parts.append(
             Part(
                 name=[*names, name][material],
-                material=int(material),
+                material=material,
                 positions=points[v, :3],
                 normals=None if (vn == OMITTED).any() else normals[vn, :3],
                 uvs=None if (vt == OMITTED).any() else uvs[vt, :2] * [1, -1] + [0, 1],
@@ -83,13 +88,23 @@ def _split(text: str) -> dict[str, Lines]:
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
     rows: dict[str, list[str]] = {key: [] for key in ("v", "vt", "vn", "f", "usemtl", "mtllib")}
     places: dict[str, list[int]] = {key: [] for key in rows}
-    for place, line in enumerate(text.split("\n"), 1):
+    for place, line in enumerate(_lines(text), 1):
         key, *rest = line.split(None, 1)[:2] or [""]
         if key in rows:
             row = rest[0] if rest else ""
             rows[key].append(row if key in ("usemtl", "mtllib") else row.partition("#")[0])
             places[key].append(place)
     return {key: Lines(rows[key], np.array(places[key], np.int64)) for key in rows}
+
+
+def _lines(text: str) -> Iterator[str]:
+    """The lines of a text, a piece at a time: all at once they take several times its memory."""
+    start = 0
+    while start <= len(text):
+        end = text.find("\n", start + PIECE)
+        end = len(text) if end < 0 else end
+        yield from text[start:end].split("\n")
+        start = end + 1
 
 
 def _chunks(rows: Sequence[str]) -> Iterator[Sequence[str]]:
@@ -157,13 +172,8 @@ def fans(sizes: Int[Any, "N"]) -> tuple[Int[Any, "F 3"], Int[Any, "F"]]:
 
 def unmerge(corners: Int[Any, "C K"]) -> tuple[Int[Any, "R K"], Int[Any, "F 3"]]:
     """The distinct (v, vt, vn) of triangles laid end to end, by v, and the faces made of them."""
-    ids = np.zeros(len(corners), np.int64)
-    for column in corners.T:  # two numbers at a time fit into one
-        _, rank = np.unique(column, return_inverse=True)
-        _, first, ids = np.unique(
-            ids * (rank.max(initial=0) + 1) + rank, return_index=True, return_inverse=True
-        )
-    return corners[first], ids.reshape(-1, 3)
+    first, which = distinct_rows(corners)
+    return corners[first], which.reshape(-1, 3)
 
 
 def colors_of(values: Float64[Any, "N 3"]) -> Float32[Any, "N 3"]:

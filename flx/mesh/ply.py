@@ -15,6 +15,7 @@ from jaxtyping import Float64, Int, Num
 from flx.mesh.files import BadFile, check_faces, numbers
 from flx.mesh.gltf import Part
 from flx.mesh.obj import colors_of, fans, unmerge
+from flx.mesh.rows import distinct_rows
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -281,9 +282,6 @@ def _wedges(
     if (wedge.sizes != 2 * sizes).any():
         raise BadFile("texcoord does not have two numbers for each corner; export it again")
     coordinates = wedge.values.astype(np.float64).reshape(-1, 2)
-    _, kinds = np.unique(coordinates, axis=0, return_inverse=True)
-    corners = triangles.reshape(-1)
-    keys = np.stack([faces.reshape(-1), kinds.reshape(-1)[corners]], 1)
-    rows, made = unmerge(keys)
-    _, first = np.unique(kinds, return_index=True)
+    first, kinds = distinct_rows(coordinates)
+    rows, made = unmerge(np.stack([faces.reshape(-1), kinds[triangles.reshape(-1)]], 1))
     return rows[:, 0], coordinates[first][rows[:, 1]], made

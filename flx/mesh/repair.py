@@ -16,7 +16,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from flx.mesh.rows import distinct_rows
+from flx.mesh.topology import mark, topology
+
 WELD_TOLERANCE = 1e-9  # of the diagonal: round-off of a float64 transform, far below a float32 step
+MOST_NEAR = (16, 1 << 22)  # for each point, and in all: ordered pairs of points to be welded
 
 
 class Repairs(NamedTuple):
@@ -53,14 +57,24 @@ class Repaired(NamedTuple):
 
 
 def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
-    """For each point the first one at the same place, within `WELD_TOLERANCE` of the diagonal."""
-    unique, first, inverse = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
+    """For each point the first one at the same place, within `WELD_TOLERANCE` of the diagonal.
+
+    Raises ValueError where that is nearly everywhere, since one point is so far off.
+    """
+    first, which = distinct_rows(points)
+    unique = points[first]
     tolerance = WELD_TOLERANCE * np.linalg.norm(np.ptp(unique, axis=0))
-    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")
+    tree = KDTree(unique)
+    if tree.count_neighbors(tree, tolerance) > MOST_NEAR[0] * len(unique) + MOST_NEAR[1]:
+        stray = unique[np.abs(unique - np.median(unique, axis=0)).max(1).argmax()]
+        raise ValueError(
+            f"a vertex at {stray.tolist()} is so far off that the others are one point; remove it"
+        )
+    pairs = tree.query_pairs(tolerance, output_type="ndarray")
     _, group = connected_components(_graph(pairs, len(unique)), directed=False)
     lowest = np.full(len(unique), len(points))
     np.minimum.at(lowest, group, first)
-    return lowest[group][inverse.reshape(-1)]
+    return lowest[group][which]
 
 
 def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
@@ -77,19 +91,18 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
     proper = (corners != np.roll(corners, 1, axis=1)).all(1)
     degenerate = int((~proper).sum())
     corners, sources = corners[proper], sources[proper]
-    ears = _doubled_ears(corners)
-    corners, sources = corners[~ears], sources[~ears]
-    _, first = np.unique(np.sort(corners, 1), axis=0, return_index=True)
-    duplicate = len(corners) - len(first)
-    first.sort()
-    corners, sources = corners[first], sources[first]
+    first, same = distinct_rows(np.sort(corners, 1))
+    ears = _doubled_ears(corners, same)
+    fresh = mark(len(corners), first) & ~ears
+    duplicate = int((~fresh & ~ears).sum())
+    corners, sources = corners[fresh], sources[fresh]
     if len(corners) == 0:
         raise ValueError(f"no triangles: of {len(faces)}, {degenerate} have a corner twice; export it again")
 
-    used, compact = np.unique(corners, return_inverse=True)
-    compact = compact.reshape(corners.shape)
+    present = mark(len(points), corners)
+    used, compact = np.flatnonzero(present), (np.cumsum(present) - 1)[corners]
     several, disagreeing = _bad_edges(compact)
-    split, place = map(np.asarray, igl.split_nonmanifold(compact.astype(np.int64)))
+    split, place = map(np.asarray, igl.split_nonmanifold(compact))
     order = np.argsort(place, kind="stable")  # the file's order, as far as there is one
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
@@ -98,7 +111,7 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
         degenerate_faces=degenerate,
         ear_faces=int(ears.sum()),
         duplicate_faces=duplicate,
-        unused_vertices=len(np.unique(representative)) - len(used),
+        unused_vertices=int((representative == np.arange(len(points))).sum()) - len(used),
         nonmanifold_edges=several,
         disagreeing_edges=disagreeing,
         nonmanifold_vertices=int((np.bincount(place) > 1).sum()),
@@ -109,39 +122,34 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
 
 def shape(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Shape:
     """Components, boundary and Euler characteristic of a manifold mesh without unused vertices."""
-    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, count = np.unique(np.sort(directed, 1), axis=0, return_counts=True)
-    components, _ = connected_components(_graph(edges, len(vertices)), directed=False)
-    rim = edges[count == 1]
-    _, compact = np.unique(rim, return_inverse=True)
-    loops = 0
-    if len(rim):
-        loops, _ = connected_components(
-            _graph(compact.reshape(-1, 2), int(compact.max()) + 1), directed=False
-        )
+    topo = topology(faces, len(vertices))
+    rim = topo.edges[topo.boundary]
+    # Of the boundary's vertices alone: every other one would be a loop of its own.
+    inside = len(vertices) - int(mark(len(vertices), rim).sum())
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.maximum(((b - a) ** 2).sum(1), np.maximum(((c - a) ** 2).sum(1), ((c - b) ** 2).sum(1)))
     return Shape(
-        components=int(components),
+        components=_parts(topo.edges, len(vertices)),
         boundary_edges=len(rim),
-        boundary_loops=int(loops),
-        euler=len(vertices) - len(edges) + len(faces),
+        boundary_loops=_parts(rim, len(vertices)) - inside,
+        euler=len(vertices) - len(topo.edges) + len(faces),
         sliver_faces=int((area <= 1e-12 * longest).sum()),
     )
 
 
-def _doubled_ears(faces: Int[Any, "F 3"]) -> Bool[Any, "F"]:
-    """Pairs of faces with the same corners that hang from a surface which is whole without them.
+def _doubled_ears(faces: Int[Any, "F 3"], same: Int[Any, "F"]) -> Bool[Any, "F"]:
+    """Pairs of faces with the same corners (`same` numbers them) that hang from a surface which is whole
+    without them.
 
     Decimation leaves such ears, closed on themselves, at a vertex of valence two. A sheet whose back is
     modelled is made of pairs too, but there a pair has pairs for neighbours: one of each stays.
     """
-    _, group, count = np.unique(np.sort(faces, 1), axis=0, return_inverse=True, return_counts=True)
-    pair = count[group.reshape(-1)] == 2
-    _, edge = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1), axis=0, return_inverse=True)
-    edge = edge.reshape(-1, 3)
-    size = edge.max(initial=0) + 1
+    pair = (np.bincount(same) == 2)[same]
+    if not pair.any():
+        return pair
+    edge, count = _edges(faces)
+    size = len(count)
     paired = np.bincount(edge[pair].reshape(-1), minlength=size)[edge]
     others = np.bincount(edge[~pair].reshape(-1), minlength=size)[edge]
     hanging = (others == 2).any(1) & ((others == 0) | (others == 2)).all(1)
@@ -150,10 +158,22 @@ def _doubled_ears(faces: Int[Any, "F 3"]) -> Bool[Any, "F"]:
 
 def _bad_edges(faces: Int[Any, "F 3"]) -> tuple[int, int]:
     """Edges of three faces or more; edges of two faces that both run from the same end."""
-    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, edge, count = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(edge.reshape(-1), directed[:, 0] < directed[:, 1], minlength=len(count))
+    edge, count = _edges(faces)
+    forward = np.bincount(edge.ravel(), (faces < np.roll(faces, -1, 1)).ravel(), minlength=len(count))
     return int((count > 2).sum()), int(((count == 2) & (forward != 1)).sum())
+
+
+def _edges(faces: Int[Any, "F 3"]) -> tuple[Int[Any, "F 3"], Int[Any, "E"]]:
+    """The edge from each corner to the next, by number, and how often each edge comes."""
+    start, end = faces, np.roll(faces, -1, 1)
+    keys = np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end)
+    _, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
+    return edge.reshape(faces.shape), count
+
+
+def _parts(edges: Int[Any, "E 2"], size: int) -> int:
+    """How many pieces edges leave of so many vertices."""
+    return int(connected_components(_graph(edges, size), directed=False)[0])
 
 
 def _graph(edges: Int[Any, "E 2"], size: int) -> coo_array:

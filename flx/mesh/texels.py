@@ -309,14 +309,23 @@ def _closest(
     )
     faces_hit = np.empty(len(points), np.int64)  # libigl's integer is another of 64 bits
     faces_hit[:] = np.ravel(hits)
-    a, b, c = (vertices[faces[faces_hit, k]] for k in range(3))
-    ab, ac, ap = b - a, c - a, np.asarray(closest).reshape(-1, 3) - a
+    closest, barycentrics = np.asarray(closest).reshape(-1, 3), np.empty((len(points), 3))
+    for start in range(0, len(points), CHUNK):
+        part = slice(start, start + CHUNK)
+        barycentrics[part] = _barycentrics(closest[part], vertices[faces[faces_hit[part]]])
+    return SurfacePoints(faces_hit, barycentrics)
+
+
+def _barycentrics(points: Float64[Any, "P 3"], corners: Float64[Any, "P 3 3"]) -> Float64[Any, "P 3"]:
+    """Of points that lie each on its triangle."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    ab, ac, ap = b - a, c - a, points - a
     dot = lambda x, y: np.einsum("px,px->p", x, y)  # noqa: E731
     area = np.maximum(dot(ab, ab) * dot(ac, ac) - dot(ab, ac) ** 2, np.finfo(float).tiny)
     second = (dot(ac, ac) * dot(ap, ab) - dot(ab, ac) * dot(ap, ac)) / area
     third = (dot(ab, ab) * dot(ap, ac) - dot(ab, ac) * dot(ap, ab)) / area
     barycentrics = np.clip(np.stack([1 - second - third, second, third], 1), 0, 1)
-    return SurfacePoints(faces_hit, barycentrics / barycentrics.sum(1, keepdims=True))
+    return barycentrics / barycentrics.sum(1, keepdims=True)
 
 
 def ring_points(
