@@ -86,6 +86,21 @@ def test_nothing_jumps_through_a_thin_wall(thickness):
     assert (wall[pooling.centers[pooling.parents]] == wall)[lower].all()
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_two_boundaries_of_a_thin_wall_stay_two(seed):
+    """At the open end of a sleeve whose walls are an eighth of an edge apart, each keeps its own boundary."""
+    mesh = sleeve(0.02)
+    copy = remesh(mesh.vertices, mesh.faces, 900, seed=seed)
+    h = edge_length(copy)
+    assert 0.13 * h > 0.02
+    wall = walls(copy.vertices)
+    sides = [set(wall[loop]) for loop in igl.boundary_loop_all(copy.faces)]
+    assert sorted(sides, key=min) == [{-1.0}, {1.0}]
+    lowest = copy.faces[copy.vertices[copy.faces][:, :, 2].max(1) < 2 * h - 1.6]
+    assert len(lowest) > 100 and (wall[lowest] == wall[lowest[:, :1]]).all()
+    assert distances(copy.vertices[copy.vertices[:, 2] < h - 1.6], Triangulation(*mesh[:2])).max() < 1e-9
+
+
 def moebius(around: int = 60, across: int = 8) -> tuple[np.ndarray, np.ndarray]:
     u, t = np.divmod(np.arange(around * (across + 1)), across + 1)
     turn, side = 2 * np.pi * u / around, (t / across - 0.5) * 0.8

@@ -20,15 +20,16 @@ from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
 from flx.types import Triangulation
 
 EASY = 0.7  # of the gap allowed: narrower ones are nothing to the search for a better place
-TRIES = 100
-SHARP_TRIES = 12  # of corners that are only sharp
-STEP = 0.6
-AIMED = 0.5
-UPRIGHT = 0.1
+TRIES = 80  # of each place
+SHARP_TRIES = 8  # of faces that are sharp but close to the surface
+STEP = 0.6  # of an edge: the longest random move, nearly
+AIMED = 0.5  # share of the moves that go towards a point that the mesh misses, where there is one
+UPRIGHT = 0.1  # the least cosine between a face and its patch
 FAIR = np.cos(np.radians(35.0))  # the sharpest corner that the search makes
 NEEDLE = np.cos(np.radians(10.0))  # the sharpest that reaching a tip makes, before it is smoothed
-SLOPE = np.cos(np.radians(20.0))  # faces that lean less against their corners' normals hide no gap
-LATTICE = np.array([(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (1, 1, 1)]) / 3
+SLOPE = np.cos(np.radians(25.0))  # faces that lean less against their corners' normals hide no gap
+# Barycentric coordinates that are multiples of a third: corners too, since not all have landed.
+LATTICE = np.array([(i, j, 3 - i - j) for i in range(4) for j in range(4 - i)]) / 3
 
 
 def reach(
@@ -100,7 +101,9 @@ def tighten(mesh: Triangulation, surface: Surface, rng: np.random.Generator) -> 
             place[part] = np.arange(len(part))
             goals = np.full((len(local), 3), np.nan)
             goals[place[hits[missed]]] = surface.probes[missed]
-            moved, rows, turned, owners, size = _moves(points, local, asked, loose[part], goals[asked], surface, rng)
+            moved, rows, turned, owners, size = _moves(
+                points, local, asked, loose[part], goals[asked], surface, rng
+            )
         if not size:
             continue
         patch = np.full(len(faces), -1)
@@ -158,6 +161,8 @@ def _moves(vertices, faces, bad, loose, goals, surface, rng):
     share = rng.uniform(0.5, 1.5, (len(asked), 1))
     step[aimed] = (share * (goals - vertices[asked]))[aimed]
     landed, trusted = surface.land(vertices[asked] + step, stars.normals, kind[asked], rim[asked])
+    # What never landed has no side to keep to.
+    trusted |= surface.distances(vertices[asked]) > 0.1 * surface.length
     there = aimed & (share[:, 0] > 1)
     landed[there], trusted[there] = goals[there], True
     moved = vertices.copy()
@@ -190,7 +195,8 @@ def _upright(vertices, faces, moved, turned, owners, size):
     before, after = area_normals(vertices, faces), area_normals(moved, turned)
     mean = [unit(sum_at(owners[:, None], normals, size)) for normals in (before, after)]
     down = [
-        _largest(owners, -dot(unit(normals), mean[k][owners]), size) for k, normals in ((0, before), (1, after))
+        _largest(owners, -dot(unit(normals), mean[k][owners]), size)
+        for k, normals in ((0, before), (1, after))
     ]
     sharp = [
         _largest(owners, sharpest_cosines(*these), size) for these in ((vertices, faces), (moved, turned))
@@ -206,7 +212,7 @@ def _largest(owners, values, size):
 
 
 def _leaning(vertices, faces):
-    """Which faces lean against the normal of a corner: the others lie close to a surface through their corners."""
+    """Which faces lean against the normal of a corner; the others hide no gap."""
     normals = area_normals(vertices, faces)
     corners = unit(sum_at(faces, normals, len(vertices)))
     normals = unit(normals)
@@ -214,9 +220,9 @@ def _leaning(vertices, faces):
 
 
 def _sags(surface, vertices, faces):
-    """How far faces are from the surface at the thirds of their edges and in the middle, in gaps allowed."""
+    """How far the points `LATTICE` of faces are from the surface, in gaps allowed."""
     points = np.einsum("pk,fkc->fpc", LATTICE, np.take(vertices, faces, 0))
-    return surface.distances(points.reshape(-1, 3)).reshape(len(faces), -1) / surface.gap
+    return surface.distances(points.reshape(-1, 3)).reshape(len(faces), len(LATTICE)) / surface.gap
 
 
 def _gaps(points, vertices, faces):

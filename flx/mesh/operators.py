@@ -71,9 +71,7 @@ def _unconnected(topo, count, pairs, priority):
     return np.concatenate(won)
 
 
-def disjoint(
-    groups: Int[Any, "N K"], count: int, priority: Float64[Any, "N"]
-) -> Int[Any, "n"]:
+def disjoint(groups: Int[Any, "N K"], count: int, priority: Float64[Any, "N"]) -> Int[Any, "n"]:
     """A maximal set (nearly) of groups of which no two share a vertex, lowest priority first."""
     rank = ranks(priority)
     won, left = [], np.arange(len(groups))

@@ -29,7 +29,9 @@ class Surface:
         creases = long_curves(topo.edges[creases], lengths, len(vertices), CURVE * length, creases)
         self.vertices, self.faces, self.length = vertices, faces, length
         self.normals = area_normals(vertices, faces)
-        narrow = NARROWEST * np.linalg.norm(np.ptp(vertices, axis=0)) / np.sqrt(length_of(self.normals).sum() / 2)
+        narrow = (
+            NARROWEST * np.linalg.norm(np.ptp(vertices, axis=0)) / np.sqrt(length_of(self.normals).sum() / 2)
+        )
         self.gap = min(GAP, narrow) * length
         self.normals = unit(self.normals)
         self.tree = igl.AABB()
@@ -54,16 +56,33 @@ class Surface:
         landed, trusted = np.asarray(closest), dot(self.normals[np.asarray(face)], normals) > 0.3
         # The normal of a feature vertex says little.
         trusted |= rim | ((kind > 0) & (length_of(landed - points) < 0.5 * self.length))
-        for curve, members, reach in (
-            (self.creases, np.flatnonzero((kind > 0) & ~rim), 0.5 * self.length),
-            (self.boundary, np.flatnonzero(rim), self.length),
-        ):
-            if len(curve) and len(members):
-                square, _, closest = igl.point_mesh_squared_distance(points[members], self.vertices, curve)
-                near = np.asarray(square) < reach**2
-                landed[members[near]] = np.asarray(closest)[near]
-                trusted[members[near]] = True
+        members = np.flatnonzero((kind > 0) & ~rim)
+        if len(self.creases) and len(members):
+            square, _, closest = igl.point_mesh_squared_distance(points[members], self.vertices, self.creases)
+            near = np.asarray(square) < (0.5 * self.length) ** 2
+            landed[members[near]] = np.asarray(closest)[near]
+            trusted[members[near]] = True
+        members = np.flatnonzero(rim)
+        if len(members):
+            closest = self._on_boundary(points[members], normals[members])
+            near = length_of(closest - points[members]) < self.length
+            landed[members[near]] = closest[near]
         return landed, trusted
+
+    def _on_boundary(self, points, normals):
+        """Closest boundary points where the surface faces the same way.
+
+        Boundary and points are lifted along their normals first: the two sides of a thin wall move apart.
+        """
+        lift = 0.5 * self.length
+        lifted = points + lift * normals
+        raised = self.vertices + lift * self.outward[: len(self.vertices)]
+        _, edge, _ = igl.point_mesh_squared_distance(lifted, raised, self.boundary)
+        a, b = self.boundary[np.asarray(edge)].T
+        along = np.take(raised, b, 0) - np.take(raised, a, 0)
+        t = dot(lifted - np.take(raised, a, 0), along) / np.maximum(dot(along, along), 1e-300)
+        a, b = np.take(self.vertices, a, 0), np.take(self.vertices, b, 0)
+        return a + np.clip(t, 0, 1)[:, None] * (b - a)
 
     def distances(self, points: Float64[Any, "N 3"]) -> Float64[Any, "N"]:
         """How far points are from the faces."""
