@@ -24,12 +24,21 @@ TRIES = 80  # of each place
 SHARP_TRIES = 8  # of faces that are sharp but close to the surface
 STEP = 0.6  # of an edge: the longest random move, nearly
 AIMED = 0.5  # share of the moves that go towards a point that the mesh misses, where there is one
+COARSE = 3e-3  # of the diagonal: a mesh that may leave wider gaps closes none but its widest,
+WIDEST = 3e-3  # this share of them: all of a surface finer than the mesh would cost it its angles
 UPRIGHT = 0.1  # the least cosine between a face and its patch
 FAIR = np.cos(np.radians(35.0))  # the sharpest corner that the search makes
 NEEDLE = np.cos(np.radians(10.0))  # the sharpest that reaching a tip makes, before it is smoothed
 SLOPE = np.cos(np.radians(25.0))  # faces that lean less against their corners' normals hide no gap
 # Barycentric coordinates that are multiples of a third: corners too, since not all have landed.
 LATTICE = np.array([(i, j, 3 - i - j) for i in range(4) for j in range(4 - i)]) / 3
+
+
+def gap_to_close(mesh: Triangulation, surface: Surface) -> float:
+    """From which width on gaps are worth closing."""
+    if surface.gap < COARSE * np.linalg.norm(np.ptp(surface.vertices, axis=0)):
+        return surface.gap
+    return max(surface.gap, float(np.quantile(_gaps(surface.probes, *mesh)[0], 1 - WIDEST)))
 
 
 def reach(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from flx.mesh.closeness import reach, tighten
+from flx.mesh.closeness import gap_to_close, reach, tighten
 from flx.mesh.features import features
 from flx.mesh.operators import flip
 from flx.mesh.smoothing import Surface, smooth
@@ -26,6 +26,7 @@ REACHES = 3  # each followed by smoothing, which loses a few points again
 
 def finish(mesh: Triangulation, surface: Surface, rng: np.random.Generator) -> Triangulation:
     """Reach what the mesh misses, widen its angles, close what gaps are left."""
+    surface.gap = gap_to_close(mesh, surface)
     pinned, probes = np.zeros(len(mesh.vertices), bool), np.arange(len(surface.probes))
     for _ in range(REACHES):
         mesh, pinned, probes = reach(mesh, surface, pinned, probes)

@@ -21,7 +21,7 @@ from flx.mesh.vectors import area_normals, length_of, sum_at
 from flx.types import Triangulation
 
 COARSENING = 1.4  # edge length of the random coarse mesh, in wanted edge lengths; at 1.0 copies share 74 %
-ROUNDS = 3
+ROUNDS = 2
 FEW = 0.005  # of the vertices: fewer collapses at once are not worth another look
 LONGEST, SHORTEST = 4 / 3, 0.8  # of the wanted edge length (Botsch & Kobbelt)
 
