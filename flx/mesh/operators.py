@@ -71,7 +71,7 @@ def _unconnected(topo, count, pairs, priority):
     return np.concatenate(won)
 
 
-def _disjoint(groups, count, priority):
+def disjoint(groups: Int[Any, "N K"], count: int, priority: Float64[Any, "N"]) -> Int[Any, "n"]:
     """A maximal set (nearly) of groups of which no two share a vertex, lowest priority first."""
     rank = ranks(priority)
     won, left = [], np.arange(len(groups))
@@ -200,7 +200,7 @@ def flip(mesh: Triangulation, rng: np.random.Generator, delaunay: bool, passes: 
         quads, gain, face, cap = np.stack([a, b, p, q], 1)[free], gain[free], face[free], cap[free]
         good = ~has_edge(topo, count, *quads[:, 2:].T) & _flips_well(vertices[quads], cap)
         quads, gain, face = quads[good], gain[good], face[good]
-        chosen = _disjoint(quads, count, rng.random(len(quads)) - gain)
+        chosen = disjoint(quads, count, rng.random(len(quads)) - gain)
         faces = faces.copy()
         faces[face[chosen, 0]] = quads[chosen][:, [2, 0, 3]]
         faces[face[chosen, 1]] = quads[chosen][:, [3, 1, 2]]

@@ -11,6 +11,12 @@ from flx.mesh.topology import edge_lengths, mark, topology
 from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
 from flx.types import Triangulation
 
+GAP = 0.42  # of an edge: the widest that a mesh may leave to the surface
+# The same where the surface is large for its box: 0.27 % of the diagonal at 30,000 vertices.
+NARROWEST = 0.435
+SPACING = 0.5  # of an edge: how close the points lie that a mesh is measured at
+BENT = np.cos(np.radians(30.0))  # faces that bend less meet in no edge worth measuring
+
 
 class Surface:
     """The surface to stay on, for a mesh of edges of `length`: its faces, its boundary and its creases."""
@@ -22,11 +28,17 @@ class Surface:
         lengths = edge_lengths(vertices, topo)[creases]
         creases = long_curves(topo.edges[creases], lengths, len(vertices), CURVE * length, creases)
         self.vertices, self.faces, self.length = vertices, faces, length
-        self.normals = unit(area_normals(vertices, faces))
+        self.normals = area_normals(vertices, faces)
+        narrow = (
+            NARROWEST * np.linalg.norm(np.ptp(vertices, axis=0)) / np.sqrt(length_of(self.normals).sum() / 2)
+        )
+        self.gap = min(GAP, narrow) * length
+        self.normals = unit(self.normals)
         self.tree = igl.AABB()
         self.tree.init(vertices, faces)
         self.boundary = np.ascontiguousarray(topo.edges[topo.boundary])
         self.creases = np.ascontiguousarray(topo.edges[creases])
+        self.probes, self.outward = _probes(vertices, faces, topo, length)
 
     def land(
         self,
@@ -44,25 +56,63 @@ class Surface:
         landed, trusted = np.asarray(closest), dot(self.normals[np.asarray(face)], normals) > 0.3
         # The normal of a feature vertex says little.
         trusted |= rim | ((kind > 0) & (length_of(landed - points) < 0.5 * self.length))
-        for curve, members, reach in (
-            (self.creases, np.flatnonzero((kind > 0) & ~rim), 0.5 * self.length),
-            (self.boundary, np.flatnonzero(rim), self.length),
-        ):
-            if len(curve) and len(members):
-                square, _, closest = igl.point_mesh_squared_distance(points[members], self.vertices, curve)
-                near = np.asarray(square) < reach**2
-                landed[members[near]] = np.asarray(closest)[near]
-                trusted[members[near]] = True
+        members = np.flatnonzero((kind > 0) & ~rim)
+        if len(self.creases) and len(members):
+            square, _, closest = igl.point_mesh_squared_distance(points[members], self.vertices, self.creases)
+            near = np.asarray(square) < (0.5 * self.length) ** 2
+            landed[members[near]] = np.asarray(closest)[near]
+            trusted[members[near]] = True
+        members = np.flatnonzero(rim)
+        if len(members):
+            closest = self._on_boundary(points[members], normals[members])
+            near = length_of(closest - points[members]) < self.length
+            landed[members[near]] = closest[near]
         return landed, trusted
 
-    def vertex_normals(self) -> Float64[Any, "V 3"]:
-        """Unit normals of the surface's vertices, its faces weighted by area."""
-        normals = area_normals(self.vertices, self.faces)
-        return unit(sum_at(self.faces, normals, len(self.vertices)))
+    def _on_boundary(self, points, normals):
+        """Closest boundary points where the surface faces the same way.
+
+        Boundary and points are lifted along their normals first: the two sides of a thin wall move apart.
+        """
+        lift = 0.5 * self.length
+        lifted = points + lift * normals
+        raised = self.vertices + lift * self.outward[: len(self.vertices)]
+        _, edge, _ = igl.point_mesh_squared_distance(lifted, raised, self.boundary)
+        a, b = self.boundary[np.asarray(edge)].T
+        along = np.take(raised, b, 0) - np.take(raised, a, 0)
+        t = dot(lifted - np.take(raised, a, 0), along) / np.maximum(dot(along, along), 1e-300)
+        a, b = np.take(self.vertices, a, 0), np.take(self.vertices, b, 0)
+        return a + np.clip(t, 0, 1)[:, None] * (b - a)
+
+    def distances(self, points: Float64[Any, "N 3"]) -> Float64[Any, "N"]:
+        """How far points are from the faces."""
+        return np.sqrt(np.asarray(self.tree.squared_distance(self.vertices, self.faces, points)[0]))
 
 
-def smooth(mesh: Triangulation, surface: Surface, passes: int) -> Triangulation:
-    """Move each vertex towards the area-weighted centroid of its faces, or along its curve; project back."""
+def _probes(vertices, faces, topo, length):
+    """Points that a mesh may miss, and their normals: the vertices, and others on long edges that bend."""
+    normals = area_normals(vertices, faces)
+    outward = unit(sum_at(faces, normals, len(vertices)))
+    normals = unit(normals)
+    left, right = (np.take(normals, topo.corners[:, side] // 3, 0) for side in range(2))
+    pieces = np.ceil(edge_lengths(vertices, topo) / (SPACING * length)).astype(np.int64)
+    bent = np.flatnonzero((pieces > 1) & ~topo.boundary & (dot(left, right) < BENT))
+    a, b = np.repeat(topo.edges[bent], pieces[bent] - 1, axis=0).T
+    place = np.arange(len(a)) - np.repeat(np.cumsum(pieces[bent] - 1) - (pieces[bent] - 1), pieces[bent] - 1)
+    t = ((place + 1) / np.repeat(pieces[bent], pieces[bent] - 1))[:, None]
+    return (
+        np.concatenate([vertices, (1 - t) * vertices[a] + t * vertices[b]]),
+        np.concatenate([outward, unit(outward[a] + outward[b])]),
+    )
+
+
+def smooth(
+    mesh: Triangulation, surface: Surface, passes: int, pinned: Bool[Any, "V"] | None = None
+) -> Triangulation:
+    """Move each vertex towards the area-weighted centroid of its faces, or along its curve; project back.
+
+    `pinned` vertices stay.
+    """
     vertices, faces = mesh
     count = len(vertices)
     topo = topology(faces, count)
@@ -81,9 +131,13 @@ def smooth(mesh: Triangulation, surface: Surface, passes: int) -> Triangulation:
         along = sum_at(a[:, None], vertices[b], count) + sum_at(b[:, None], vertices[a], count)
         step[kind == 1] = along[kind == 1] / 2 - vertices[kind == 1]
         step[kind == 2] = 0
+        if pinned is not None:
+            step[pinned] = 0
         wanted = vertices + 0.6 * step
         moved, landed = surface.land(wanted, vertex_normals, kind, edge_of_surface)
         moved[~landed] = vertices[~landed]
+        if pinned is not None:
+            moved[pinned] = vertices[pinned]
         vertices = _without_folds(vertices, moved, faces, normals)
     return Triangulation(vertices, faces)
 

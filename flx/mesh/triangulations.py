@@ -21,7 +21,8 @@ from flx.mesh.vectors import area_normals, length_of, sum_at
 from flx.types import Triangulation
 
 COARSENING = 1.4  # edge length of the random coarse mesh, in wanted edge lengths; at 1.0 copies share 74 %
-ROUNDS = 3
+ROUNDS = 2
+FEW = 0.005  # of the vertices: fewer collapses at once are not worth another look
 LONGEST, SHORTEST = 4 / 3, 0.8  # of the wanted edge length (Botsch & Kobbelt)
 
 
@@ -50,9 +51,7 @@ def remesh(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], count: int, se
         mesh = smooth(flip(mesh, rng, delaunay=False, passes=4), surface, passes=2)
         mesh = _settle(mesh, count, length, rng)
         mesh = smooth(flip(mesh, rng, delaunay=False, passes=4), surface, passes=1)
-    mesh = smooth(flip(mesh, rng, delaunay=True, passes=8), surface, passes=1)
-    mesh = flip(mesh, rng, delaunay=True, passes=4)
-    mesh = finish(mesh, surface, rng)
+    mesh = finish(flip(mesh, rng, delaunay=True, passes=8), surface, rng)
     if len(mesh.vertices) != count or invariants(*mesh) != shape:
         raise ValueError(
             f"remeshing {len(vertices)} vertices ({shape}) to {count} ended at {len(mesh.vertices)} "
@@ -83,7 +82,7 @@ def _collapse_short(mesh, length, rng):
     """Collapse until few edges are shorter than 0.8 `length`."""
     while True:
         mesh, done = collapse(mesh, SHORTEST * length, LONGEST * length, rng)
-        if done < 0.005 * len(mesh.vertices):
+        if done < FEW * len(mesh.vertices):
             return mesh
 
 
