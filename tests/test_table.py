@@ -108,3 +108,22 @@ def test_chunks_are_asked_where_the_texels_are(folder):
     places = [np.einsum("pkx,pk->px", vertices[part.vertices], part.barycentrics) for part in chunks(canvas)]
     expected = np.einsum("pkx,pk->px", vertices[faces[points.faces]], points.barycentrics)
     np.testing.assert_allclose(np.concatenate(places), expected, atol=1e-5 * np.ptp(vertices))
+
+
+def test_an_image_is_laid_on_a_sheet_of_its_proportions(tmp_path):
+    """Nothing of it is hidden or turned: as a sheet's texture, upright, it is the image itself."""
+    from PIL import Image
+
+    picture = np.random.default_rng(0).integers(0, 256, (40, 60, 3)).astype(np.uint8)
+    Image.fromarray(picture).save(tmp_path / "picture.png")
+    asset = table.read_sheet(tmp_path / "picture.png")
+    np.testing.assert_array_equal(asset.mesh.textures[0], picture)
+    size = np.ptp(asset.mesh.vertices, axis=0)
+    np.testing.assert_allclose(size / size[1], [1.5, 1, 0])
+    u, v = asset.mesh.corner_uvs.reshape(-1, 2).T  # they run right and down
+    x, y, _ = (asset.mesh.vertices[asset.mesh.faces] / size[1]).reshape(-1, 3).T
+    np.testing.assert_allclose([u, v], [x / 1.5, 1 - y], atol=1e-6)
+    rows = reconstruction_table(
+        [str(tmp_path / "picture.png")], [300], ["vertex_colours"], None, None, None, 0, tmp_path / "out"
+    )
+    assert rows[0]["psnr"] > 8

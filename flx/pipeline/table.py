@@ -117,10 +117,10 @@ def reconstruction_table(
 
 
 def _read_asset(mesh: str) -> Asset:
-    if Path(mesh).suffix.lower() in SUFFIXES:
-        return read_sheet(Path(mesh))
     path, _, texture = ("", "", "") if Path(mesh).exists() else mesh.rpartition(":")
-    return read_asset(Path(path or mesh), Path(texture) if path else None)
+    if path:
+        return read_asset(Path(path), Path(texture))
+    return read_sheet(Path(mesh)) if Path(mesh).suffix.lower() in SUFFIXES else read_asset(Path(mesh))
 
 
 def read_sheet(image: Path) -> Asset:
