@@ -146,6 +146,7 @@ def evaluate(
     weights: str | None = None,
     texture_size: int | None = None,
     seed: int = 0,
+    atlases: bool = False,
 ) -> None:
     """Measure methods side by side: table.json and table.md. Rows that are there already are kept.
 
@@ -160,10 +161,13 @@ def evaluate(
         weights: An FL-VAE file; the released one unless given.
         texture_size: Pixels on the atlas' longer side; the input's, at most 2048, unless given.
         seed: Of the triangulations.
+        atlases: Write each new row's texture too.
     """
     from flx.pipeline.table import markdown, reconstruction_table
 
-    rows = reconstruction_table(reconstruction, vertices, methods, images, weights, texture_size, seed, out)
+    rows = reconstruction_table(
+        reconstruction, vertices, methods, images, weights, texture_size, seed, out, atlases
+    )
     print(markdown(rows), end="")
 
 

@@ -124,6 +124,16 @@ def test_an_image_is_laid_on_a_sheet_of_its_proportions(tmp_path):
     x, y, _ = (asset.mesh.vertices[asset.mesh.faces] / size[1]).reshape(-1, 3).T
     np.testing.assert_allclose([u, v], [x / 1.5, 1 - y], atol=1e-6)
     rows = reconstruction_table(
-        [str(tmp_path / "picture.png")], [300], ["vertex_colours"], None, None, None, 0, tmp_path / "out"
+        [str(tmp_path / "picture.png")],
+        [300],
+        ["vertex_colours"],
+        None,
+        None,
+        None,
+        0,
+        tmp_path / "out",
+        True,
     )
     assert rows[0]["psnr"] > 8
+    (atlas,) = (tmp_path / "out").glob("picture-300-vertex_colours-*.png")
+    assert Image.open(atlas).size == (60, 40)

@@ -22,7 +22,7 @@ from flx.mesh.assets import Asset, read_asset
 from flx.mesh.copies import sample_rings
 from flx.mesh.texels import with_filled_gutters
 from flx.mesh.triangulations import remesh
-from flx.pipeline.bake import chunks, open_canvas, painted
+from flx.pipeline.bake import chunks, open_canvas, painted, write_png
 from flx.pipeline.baselines import (
     Method,
     Subject,
@@ -54,6 +54,7 @@ def reconstruction_table(
     texture_size: int | None,
     seed: int,
     out: Path,
+    atlases: bool = False,
 ) -> list[Row]:
     """Measure every method on every mesh at every number of vertices; write table.json and table.md.
 
@@ -62,6 +63,7 @@ def reconstruction_table(
     `seconds` are the method's own, from samples to texels, learning included where it learns a mesh.
 
     A mesh whose file names no texture is given as MESH:TEXTURE; an image is laid on a flat sheet.
+    `atlases`: write the first new texture of each new row too.
 
     Raises ValueError where there is no mesh, a mesh cannot be read, or a method is unknown.
     """
@@ -110,6 +112,8 @@ def reconstruction_table(
                 new = wanted[path, count, name]
                 row = {"mesh": path, "method": name, "vertices": count, **measured}
                 found[new] = {**row, "seconds": seconds, "key": new}
+                if atlases and baked.images:
+                    write_png(out / f"{Path(path).stem}-{count}-{name}-{new}.png", baked.images[0])
                 _write(out, [*asked(), *others])
                 bar.update()
     _write(out, [*asked(), *others])
