@@ -218,7 +218,7 @@ def test_at_a_corner_a_face_has_the_colour_of_its_vertex(config):
 
 @pytest.mark.parametrize("config", [SMALL, FRAME], ids=lambda c: c.encoder)
 def test_inside_a_face_the_colours_of_its_corners_are_blended(config):
-    model, params, z, points = three_corners(config)
+    model, params, _, points = three_corners(config)
     blended, corners, _ = model.apply(params, rings(3), points, jax.random.key(0))
     powers = points.barycentrics[..., None] ** config.sharpness
     np.testing.assert_allclose(blended, (powers * corners).sum(1) / powers.sum(1), atol=1e-5)
