@@ -117,6 +117,28 @@ def test_a_lay_scales_turns_and_stretches_about_the_middle():
     np.testing.assert_allclose(turned, 127.5 + np.array([0, 2, 0, -4 / 3]), atol=1e-3)
 
 
+def test_a_lay_reaches_from_one_border_of_its_image_to_the_other():
+    ramp = np.zeros((1, 256, 256, 3), np.uint8)
+    ramp[..., 0], ramp[..., 1] = np.arange(256), np.arange(256)[:, None]
+    lay = plain(3, corner=jnp.array([[0, 0], [1, 0], [0.25, 1]]))
+    read = images.colors_at(jnp.asarray(ramp), lay, jnp.tile(jnp.array([0, 5, -3j]), (3, 1)))[0]
+    np.testing.assert_allclose(255 * read[:, 0, :2], [[5, 5], [250, 5], [66.25, 250]], atol=2e-3)
+
+
+def test_what_is_painted_anew_is_measured_from_the_mean_of_the_rings():
+    """Channels change places; without contrast all has the rings' level, wherever the queries lie."""
+    ramp = np.zeros((1, 256, 256, 3), np.uint8)
+    ramp[..., 0] = np.arange(256)
+    rings, queries = jnp.array([[-50.0, 50.0 + 0j]]), jnp.array([[20.0 + 0j, 40.0, 30.0]])
+    one = jnp.ones(1)
+    order = jnp.array([[1, 2, 0]])
+    mixed = images.colors_at(jnp.asarray(ramp), plain(1, channels=order, painted=one), rings, queries)
+    np.testing.assert_allclose(255 * mixed[1][0, :, 2], 127.5 + np.array([20, 40, 30]), atol=1e-2)
+    np.testing.assert_allclose(mixed[1][..., :2], 0, atol=1e-6)
+    flat = images.colors_at(jnp.asarray(ramp), plain(1, contrast=0 * one, painted=one), rings, queries)
+    np.testing.assert_allclose(255 * flat[1], 127.5 / 3, atol=1e-2)
+
+
 def test_half_of_the_patches_are_painted_anew_and_within_range():
     picture = np.random.default_rng(4).integers(0, 256, (1, 64, 64, 3)).astype(np.uint8)
     lay = images.random_lay(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))

@@ -1,4 +1,4 @@
-"""Laws of the scaling between latents and what is diffused, and of the loss."""
+"""Laws of the scaling between latents and what is diffused, and of the losses."""
 
 import flax.linen as nn
 import jax
@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 from shapes import square_grid
 
-from flx.config import FLDM
+from flx.config import FLDM, FLVAE, FLVAEExperiment
 from flx.fields.algebra import tangent_noise
 from flx.mesh.tables import mesh_tables, stack
 from flx.models.denoiser import Denoiser
-from flx.pipeline.learn import MeshBatch, diffusion_loss, latent_scaling, schedule
+from flx.pipeline.codec import initial_params
+from flx.pipeline.images import PatchBatch
+from flx.pipeline.learn import MeshBatch, diffusion_loss, image_loss, latent_scaling, learn, schedule
 from flx.pipeline.prepare import Prepared
+from flx.types import Queries, RingSamples
 
 
 def copy_of(latents: np.ndarray) -> Prepared:
@@ -64,3 +67,29 @@ def test_the_loss_is_zero_for_who_knows_the_answer_and_one_for_who_says_nothing(
         loss = diffusion_loss(model, Knowing(model, (1, 1, 1), says_nothing))
         found, _ = jax.jit(loss)({}, batch, jax.random.key(0))
         np.testing.assert_allclose(found, expected, atol=close)
+
+
+def test_who_learns_the_blend_hears_of_a_corner_what_is_seen_of_it():
+    """Points at the first corner of their face show nothing of the others."""
+    model = FLVAE(channels=4, layers=0, heads=1, samples=5, decoder_width=8, decoder_layers=2)
+    params, rng = initial_params(model, 0), np.random.default_rng(0)
+    rings = RingSamples(tangent_noise(jax.random.key(1), (6, 5)), jnp.ones((6, 5, 3)))
+    seen = tangent_noise(jax.random.key(2), (9, 3))
+    first = jnp.tile(jnp.eye(3)[0], (9, 1))
+    queries = Queries(jnp.asarray(rng.integers(0, 6, (9, 3)), jnp.int32), seen, first)
+
+    @jax.jit
+    def losses(logs):
+        batch = PatchBatch(rings, queries._replace(logs=logs), jnp.ones((9, 3)))
+        both = [FLVAEExperiment(model=model, learns=learns) for learns in ("blend", "corners")]
+        return jnp.array([image_loss(each)(params, batch, jax.random.key(0))[0] for each in both])
+
+    of_others = np.abs(losses(seen.at[:, 1:].mul(3.0)) - losses(seen))
+    assert of_others[0] < 1e-6 and of_others[1] > 1e-3
+    assert np.abs(losses(seen.at[:, 0].mul(3.0)) - losses(seen)).min() > 1e-3
+
+
+def test_a_model_that_cannot_be_made_leaves_no_run_behind(tmp_path):
+    with pytest.raises(ValueError, match="invariants"):
+        learn(FLVAEExperiment(model=FLVAE(encoder="frame")), tmp_path)
+    assert not list(tmp_path.iterdir())

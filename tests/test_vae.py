@@ -1,6 +1,7 @@
 """Laws of the field-latent VAE: codes turn with the frame, colours do not, rings do not see each other."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,8 @@ from flx.types import Queries, RingSamples
 
 SMALL = FLVAE(channels=16, layers=2, heads=4, samples=24, decoder_width=32, precision="float32")
 FRAME = replace(SMALL, encoder="frame", invariants=3, width=32, depth=2, edges=6, sharpness=2.0)
-CONFIGS = [SMALL, FRAME, replace(FRAME, decoder="interpolated")]
+INTERPOLATED = replace(FRAME, decoder="interpolated", sharpness=1.0)
+CONFIGS = [SMALL, FRAME, INTERPOLATED]
 each_config = pytest.mark.parametrize("config", CONFIGS, ids=lambda c: f"{c.encoder} {c.decoder}")
 
 
@@ -45,6 +47,7 @@ def code_turn(config: FLVAE, turn: np.ndarray) -> np.ndarray:
     return np.where(np.arange(config.latents) < vectors, turn[:, None], 1)
 
 
+@cache
 def trained_a_little(config: FLVAE) -> tuple[FieldLatentVAE, dict]:
     params = initial_params(config, 0)
     if config.encoder == "frame":
@@ -97,11 +100,16 @@ def test_a_ring_is_encoded_the_same_in_any_batch_or_chunk(config, monkeypatch):
     model, params = trained_a_little(config)
     r = rings(23)
     whole = encode(model, params, r).mean
-    alone = encode(model, params, jax.tree.map(lambda a: a[7:8], r)).mean
-    np.testing.assert_allclose(alone[0], whole[7], atol=1e-4)
+    single = encode(model, params, jax.tree.map(lambda a: a[7:8], r)).mean
+    np.testing.assert_allclose(single[0], whole[7], atol=1e-4)
     codec = Codec(config, params)
-    monkeypatch.setattr("flx.pipeline.codec.RINGS", 5)
+    points = alone(r.logs[:, :4])
+    colors = codec.decode(points, whole)
+    for name, size in {"RINGS": 5, "VERTICES": 5, "POINTS": 50}.items():
+        monkeypatch.setattr(f"flx.pipeline.codec.{name}", size)
     np.testing.assert_allclose(codec.encode(r), whole, atol=1e-4)
+    np.testing.assert_allclose(codec.decode(points, whole), colors, atol=1e-5)
+    assert np.ptp(colors) > 0.1
 
 
 @each_config
@@ -188,6 +196,35 @@ def test_a_blend_is_a_mean_that_is_one_corner_at_a_corner_and_two_on_an_edge(sha
     assert half[1, 2] == 0 and half[1, 0] >= 0.7 - 1e-6
 
 
+def three_corners(config: FLVAE, count: int = 20) -> tuple[FieldLatentVAE, dict, jax.Array, Queries]:
+    """Points of one face whose corners have codes of their own."""
+    model, params = trained_a_little(config)
+    z = encode(model, params, rings(3)).mean
+    weights = jnp.asarray(np.random.default_rng(1).dirichlet(np.ones(3), count), jnp.float32)
+    vertices = jnp.broadcast_to(jnp.arange(3, dtype=jnp.int32), weights.shape)
+    return model, params, z, Queries(vertices, tangent_noise(jax.random.key(5), weights.shape), weights)
+
+
+@each_config
+def test_at_a_corner_a_face_has_the_colour_of_its_vertex(config):
+    model, params, z, points = three_corners(config, 3)
+    expanded = model.apply(params, z, method=FieldLatentVAE.expand)
+    points = points._replace(barycentrics=jnp.eye(3))
+    found = model.apply(params, expanded, points, method=FieldLatentVAE.blend)
+    expected = decode(model, params, jnp.diag(points.logs)[:, None], z)[:, 0]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert np.ptp(expected, axis=0).max() > 0.01
+
+
+@pytest.mark.parametrize("config", [SMALL, FRAME], ids=lambda c: c.encoder)
+def test_inside_a_face_the_colours_of_its_corners_are_blended(config):
+    model, params, _, points = three_corners(config)
+    blended, corners, _ = model.apply(params, rings(3), points, jax.random.key(0))
+    powers = points.barycentrics[..., None] ** config.sharpness
+    np.testing.assert_allclose(blended, (powers * corners).sum(1) / powers.sum(1), atol=1e-5)
+    assert np.abs(blended - corners.mean(1)).max() > 0.01
+
+
 def test_principal_components_keep_more_than_any_mean():
     """Before any training the linear maps give most of a smooth ring back."""
     model, params = trained_a_little(replace(FRAME, samples=64, edges=0))
@@ -245,6 +282,31 @@ def test_the_loss_is_zero_only_for_the_right_colours():
 def test_codes_that_an_encoder_cannot_make_are_refused(config):
     with pytest.raises(ValueError, match="invariants"):
         initial_params(config, 0)
+
+
+@pytest.mark.parametrize(
+    ("config", "changed"),
+    [
+        (SMALL, {"encoder": "convolution"}),
+        (SMALL, {"precision": "float16"}),
+        (SMALL, {"heads": 3}),
+        (SMALL, {"decoder_layers": 0}),
+        (FRAME, {"decoder": "linear"}),
+        (FRAME, {"edges": -1}),
+        (FRAME, {"depth": -1}),
+        (FRAME, {"sharpness": 0.5}),
+        (FRAME, {"sharpness": float("nan")}),
+        (INTERPOLATED, {"sharpness": 2.0}),
+    ],
+    ids=lambda x: str(x) if isinstance(x, dict) else "",
+)
+def test_fields_that_make_no_model_are_refused_by_name_in_one_line(config, changed):
+    ((field, value),) = changed.items()
+    config = replace(config)
+    object.__setattr__(config, field, value)  # past the types, which are checked in tests only
+    with pytest.raises(ValueError, match=f"^model.{field} is '?{value}") as caught:
+        initial_params(config, 0)
+    assert "\n" not in str(caught.value)
 
 
 # --- the codec on disk and in use

@@ -57,8 +57,9 @@ def least_squares(
     weights = (near / jnp.sum(near, -1, keepdims=True))[..., None]
     found = basis(logs, degree)
     ridge = np.array([1e-3 * (1 + 2 * d) for d, m in terms(degree) for _ in range(2 if m else 1)])
-    gram = jnp.einsum("...si,...sj->...ij", weights * found, found) + jnp.diag(ridge)
-    moments = jnp.einsum("...si,...sc->...ic", weights * found, values)
+    exact = jax.lax.Precision.HIGHEST  # GPUs round products to 10 bits else: as much as the ridge
+    gram = jnp.einsum("...si,...sj->...ij", weights * found, found, precision=exact) + jnp.diag(ridge)
+    moments = jnp.einsum("...si,...sc->...ic", weights * found, values, precision=exact)
     return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(gram), True), moments)
 
 

@@ -4,7 +4,7 @@ A ring's code depends on that ring alone, whatever else is in the batch; a point
 corners of its face. The encoder commutes with a change of the vertex's frame, the decoder is invariant.
 """
 
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import flax.linen as nn
 import jax
@@ -62,6 +62,7 @@ class FieldLatentVAE(nn.Module):
 
 
 FAMILIES = {"transformer": transformer, "frame": frame}
+MAY_BE_ZERO = ("invariants", "layers", "depth", "edges")  # all other numbers are 1 or more
 
 
 def _at_corners(expanded: Any, queries: Queries) -> Any:
@@ -77,20 +78,32 @@ def blend_weights(barycentrics: Float[Array, "P 3"], sharpness: float) -> Float[
 
 
 def check(config: FLVAE) -> None:
-    """Raises ValueError where the encoder cannot make codes of this kind."""
-    invariants, latents = config.invariants, config.latents
+    """Raises ValueError where a field has no such value, or the fields do not go together."""
+    for name, kind in get_type_hints(FLVAE).items():
+        value, choices = getattr(config, name), get_args(kind)
+        least = 0 if name in MAY_BE_ZERO else 1
+        if choices and value not in choices:
+            raise ValueError(f"model.{name} is {value!r}; say {' or '.join(choices)}")
+        if not choices and not value >= least:
+            raise ValueError(f"model.{name} is {value}; make it {least} or more")
+    invariants, latents, vectors = config.invariants, config.latents, frame.VECTORS
     if config.encoder == "transformer" and invariants:
         raise ValueError(
             f"model.invariants is {invariants}, but the transformer's codes are vectors: make it 0"
         )
-    most = frame.VECTORS
-    if config.encoder == "frame" and not (1 <= invariants <= 3 and invariants < latents <= invariants + most):
+    if config.encoder == "transformer" and config.channels % config.heads:
+        raise ValueError(
+            f"model.heads is {config.heads}; make it a divisor of model.channels, {config.channels}"
+        )
+    if config.encoder == "frame" and not (1 <= invariants <= 3 and 1 <= latents - invariants <= vectors):
         raise ValueError(
             f"model.invariants is {invariants} of {latents} latents; the frame encoder has 1 to 3, "
-            f"and 1 to {most} vectors beside them"
+            f"and 1 to {vectors} vectors beside them"
         )
-    if config.sharpness < 1:
-        raise ValueError(f"model.sharpness is {config.sharpness}; make it 1 (barycentric) or more")
+    if config.decoder == "interpolated" and config.sharpness != 1:
+        raise ValueError(
+            f"model.sharpness is {config.sharpness}, but the interpolated decoder is barycentric: make it 1"
+        )
 
 
 def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:
@@ -105,12 +118,15 @@ def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:
 
 
 def flvae_loss(
-    colors: Float[Array, "*P 3"],
-    predicted: Float[Array, "*P 3"],
+    colors: Float[Array, "*#P 3"],
+    predicted: Float[Array, "*#P 3"],
     posterior: Posterior,
     kl_weight: float,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
-    """L1 summed over RGB plus the weighted KL summed over D, means over all else; with its metrics."""
+    """L1 summed over RGB plus the weighted KL summed over D, means over all else; with its metrics.
+
+    One colour may be held against several predictions of it, those of a face's corners.
+    """
     l1 = jnp.mean(jnp.sum(jnp.abs(predicted - colors), -1))
     kl = jnp.mean(kl_divergence(posterior))
     psnr = -10 * jnp.log10(jnp.mean((jnp.clip(predicted, 0, 1) - colors) ** 2) + 1e-10)

@@ -86,7 +86,7 @@ def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[in
 
 def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Baked:
     """Decode the latents at every texel, or at every vertex."""
-    return painted(canvas, (codec.decode(points, z) for points in chunks(canvas)))
+    return painted(canvas, map(codec.decoder(z), chunks(canvas)))
 
 
 def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Baked:

@@ -44,11 +44,7 @@ Method = Callable[[Subject], Paint]
 def field_latents(codec: Codec) -> Method:
     """The field-latent VAE, there and back."""
 
-    def learnt(subject: Subject) -> Paint:
-        z = codec.encode(subject.rings)
-        return lambda points: codec.decode(points, z)
-
-    return learnt
+    return lambda subject: codec.decoder(codec.encode(subject.rings))
 
 
 def vertex_colours(subject: Subject) -> Paint:
@@ -103,8 +99,9 @@ def fit_components(images: ImagePatches) -> Components:
     axis = np.linspace(-REACH, REACH, GRID)
     grid = (axis[None, :] + 1j * axis[:, None]).ravel().astype(np.complex64)
     places = jnp.broadcast_to(grid, (images.batch, len(grid)))
-    read = jax.jit(lambda lay: colors_at(images.images, lay, places)[0])
-    patches = [np.asarray(read(images.lay(step))) for step in range(-(-RINGS // images.batch))]
+    read = jax.jit(lambda pictures, lay: colors_at(pictures, lay, places)[0])
+    batches = range(-(-RINGS // images.batch))
+    patches = [np.asarray(read(images.images, images.lay(step))) for step in batches]
     x = np.concatenate(patches).reshape(-1, 3 * len(grid)).astype(np.float64)
     mean = x.mean(0)
     roots = np.sqrt(np.repeat(_density(images), 3))

@@ -29,6 +29,9 @@ from flx.pipeline.codec import initial_params, load_codec
 from flx.types import MeshTables, Queries, RingSamples, Triangulation
 
 PAPER_BLOCKS = (2, 4, 4)
+VERTICES, TEXELS = 30_000, 1024**2  # encoded, decoded
+RINGS = 128  # that the transformer sees at once
+SIDE = 2048  # of the matrices whose product is the floor
 
 
 def denoiser_rows(repeats: int = 5) -> list[dict[str, Any]]:
@@ -49,53 +52,59 @@ def codec_rows(repeats: int = 3) -> list[dict[str, Any]]:
     """The FL-VAE: the released one there and back, the paper's transformer, and the floor under both.
 
     The floor is what a large matrix product reaches; a row's GFLOP/s are what XLA counts, by the seconds.
+    `peak_bytes`: of the process until then.
     """
-    paper = FLVAE()
     rng = np.random.default_rng(0)
-    codec, vertices, texels = load_codec(), 30_000, 1024**2
-    z = np.asarray(tangent_noise(jax.random.key(0), (vertices, codec.config.latents)))
-    corners = rng.integers(0, vertices, (texels, 3)).astype(np.int32)
+    codec = load_codec()
+    rings = _rings(VERTICES, codec.config.samples)
+    z = np.asarray(tangent_noise(jax.random.key(0), (VERTICES, codec.config.latents)))
+    corners = rng.integers(0, VERTICES, (TEXELS, 3)).astype(np.int32)
     logs = np.broadcast_to(np.complex64(0.5), corners.shape)
-    points = Queries(corners, logs, rng.dirichlet(np.ones(3), texels).astype(np.float32))
-    rings = _rings(vertices, codec.config.samples)
-    encode = lambda: codec.encode(rings)  # noqa: E731
-    decode = lambda: codec.decode(points, z)  # noqa: E731
+    points = Queries(corners, logs, rng.dirichlet(np.ones(3), TEXELS).astype(np.float32))
     rows = [_product(name, repeats) for name in ("float32", "bfloat16")]
-    for name, call, count in ((f"encode/{vertices}", encode, vertices), ("decode/1024²", decode, texels)):
+    calls: list[tuple[str, Callable[[], Any], int]] = [
+        ("encode", lambda: codec.encode(rings), VERTICES),
+        ("decode", lambda: codec.decode(points, z), TEXELS),
+    ]
+    for name, call, count in calls:
         seconds = _median_seconds(call, repeats)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
         rows.append(
-            {"name": name, "seconds": seconds, "per_second": round(count / seconds), "peak_bytes": peak}
+            {
+                "name": f"{name}/{count}",
+                "seconds": seconds,
+                "per_second": round(count / seconds),
+                "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10,
+            }
         )
-    return [*rows, *_transformer(paper, repeats)]
+    return [*rows, *_transformer(FLVAE(), repeats)]
 
 
-def _product(precision: str, repeats: int, size: int = 2048) -> dict[str, Any]:
-    x = jnp.ones((size, size), precision)
+def _product(precision: str, repeats: int) -> dict[str, Any]:
+    x = jnp.ones((SIDE, SIDE), precision)
     product = jax.jit(lambda x: jnp.dot(x, x, preferred_element_type=jnp.float32))
     seconds = _median_seconds(lambda: jax.block_until_ready(product(x)), repeats)
-    return {"name": f"product/{precision}", "seconds": seconds, "gflops": round(2e-9 * size**3 / seconds)}
+    return {"name": f"product/{precision}", "seconds": seconds, "gflops": 2e-9 * SIDE**3 / seconds}
 
 
-def _transformer(config: FLVAE, repeats: int, count: int = 128) -> list[dict[str, Any]]:
+def _transformer(config: FLVAE, repeats: int) -> list[dict[str, Any]]:
     """The paper's encoder on a batch of one-rings, forward and with the gradient of its parameters."""
-    model, params, rings = FieldLatentVAE(config), initial_params(config, 0), _rings(count, config.samples)
+    model, params, rings = FieldLatentVAE(config), initial_params(config, 0), _rings(RINGS, config.samples)
 
-    def size_of_codes(params: Any) -> jax.Array:
+    def size_of_codes(params: Any, rings: RingSamples) -> jax.Array:
         posterior: Any = model.apply(params, rings, method="encode")
         return jnp.sum(squared_modulus(posterior.mean))
 
     rows = []
     for name, function in (("forward", size_of_codes), ("gradient", jax.grad(size_of_codes))):
-        compiled = jax.jit(function).lower(params).compile()
-        seconds = _median_seconds(lambda c=compiled: jax.block_until_ready(c(params)), repeats)
+        compiled = jax.jit(function).lower(params, rings).compile()
+        seconds = _median_seconds(lambda c=compiled: jax.block_until_ready(c(params, rings)), repeats)
         flops: Any = compiled.cost_analysis()
         rows.append(
             {
-                "name": f"transformer_{name}/{count} rings",
+                "name": f"transformer_{name}/{RINGS}",
                 "seconds": seconds,
-                "per_second": round(count / seconds),
-                "gflops": round(1e-9 * flops["flops"] / seconds),
+                "per_second": round(RINGS / seconds),
+                "gflops": 1e-9 * flops["flops"] / seconds,
             }
         )
     return rows

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ WEIGHTS = Path(__file__).parent.parent / "weights"
 RELEASED = WEIGHTS / "flvae.safetensors"
 BARYCENTRIC = WEIGHTS / "barycentric.safetensors"  # to compare with: its decoder knows no place in a face
 RINGS = 4096  # one-rings encoded at once
+VERTICES = 65_536  # codes expanded at once
 POINTS = 32_768  # points decoded at once, three corners each
 
 
@@ -46,8 +47,13 @@ class Codec(NamedTuple):
 
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
         """Colours in [0, 1]: what the corners of each face predict, blended."""
-        expanded = _expand(self.config, self.params, jnp.asarray(z))
-        return _in_chunks(partial(_blend, self.config), (self.params, expanded), queries, POINTS)
+        return self.decoder(z)(queries)
+
+    def decoder(self, z: Complex64[Any, "V D"]) -> Callable[[Queries], Float32[np.ndarray, "P 3"]]:
+        """`decode` for who asks many times: the work of the vertices is done once, here."""
+        whole = _in_chunks(partial(_expand, self.config), self.params, z, VERTICES)
+        fixed = (self.params, jax.tree.map(jnp.asarray, whole))
+        return lambda queries: _in_chunks(partial(_blend, self.config), fixed, queries, POINTS)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -112,16 +118,15 @@ def initial_params(config: FLVAE, seed: int) -> Any:
     return FieldLatentVAE(config).init(key, rings, point, key)
 
 
-def _in_chunks(function: Any, fixed: Any, arrays: Any, size: int) -> np.ndarray:
+def _in_chunks(function: Any, fixed: Any, arrays: Any, size: int) -> Any:
     """Map `function(fixed, chunk)` over the leading axis; the last chunk is padded: one compilation."""
-    count = len(arrays[0])
+    count = len(jax.tree.leaves(arrays)[0])
     size = min(size, max(count, 1))
 
-    def chunks() -> Iterator[np.ndarray]:
-        for start in range(0, count, size):
-            part = type(arrays)(*(np.asarray(a[start : start + size]) for a in arrays))
-            used = len(part[0])
-            padded = type(arrays)(*(np.concatenate([a, a[:1].repeat(size - used, 0)]) for a in part))
-            yield np.asarray(function(fixed, padded))[:used]
+    def chunk(start: int) -> Any:
+        part = jax.tree.map(lambda a: np.asarray(a[start : start + size]), arrays)
+        used = min(size, count - start)
+        padded = jax.tree.map(lambda a: np.concatenate([a, a[:1].repeat(size - used, 0)]), part)
+        return jax.tree.map(lambda a: np.asarray(a)[:used], function(fixed, padded))
 
-    return np.concatenate(list(chunks()))
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *map(chunk, range(0, count, size)))

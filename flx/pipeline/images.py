@@ -233,7 +233,7 @@ class ImagePatches:
         images = load_images(Path(config.folder))
         prints = printed_pages(round(config.prints * len(images)), SIDE, config.seed)
         images = np.concatenate([images, prints]) if len(prints) else images
-        self.digest = hashlib.sha256(images.tobytes()).hexdigest()
+        self.digest = hashlib.sha256(images).hexdigest()
         self.config, self.batch = config, batch
         self.images = jnp.asarray(images)
         bank = bank_of_patches(model.samples, config.queries * VERTICES, config.seed)

@@ -23,7 +23,7 @@ from flx.mesh.vase import write_vase
 from flx.models import frame
 from flx.models.denoiser import Denoiser, blocks_for, denoise, reach, schedule
 from flx.models.mixed import MixedDenoiser
-from flx.models.vae import FieldLatentVAE, flvae_loss
+from flx.models.vae import FieldLatentVAE, check, flvae_loss
 from flx.pipeline.bake import bake_back, write_baked
 from flx.pipeline.codec import Codec, initial_params, load_codec, save_codec
 from flx.pipeline.images import VERTICES, ImagePatches, PatchBatch, first_rings
@@ -45,8 +45,24 @@ def learn(experiment: Experiment, root: Path) -> Run:
 
 def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     """Train a field-latent VAE on a folder of images; the run folder gets `flvae.safetensors`."""
+    check(experiment.model)  # before a run folder is made for it
     patches = ImagePatches(experiment.images, experiment.model, experiment.train.batch)
     run = open_run(root, experiment, patches.digest)
+    state = train(
+        run, experiment.train, starting_params(experiment, patches), image_loss(experiment), patches
+    )
+    card = {
+        "steps": str(experiment.train.steps),
+        "rings": str(experiment.train.steps * experiment.train.batch * VERTICES),
+        "images": str(len(patches.images)),
+        "kl_weight": str(experiment.kl_weight),
+    }
+    save_codec(run.folder / "flvae.safetensors", Codec(experiment.model, state.ema), card)
+    return run
+
+
+def image_loss(experiment: FLVAEExperiment) -> LossFn:
+    """The loss on the colours at a batch's points: of the blend there, or of what each corner says alone."""
     model = FieldLatentVAE(experiment.model)
 
     def loss(params: Any, batch: PatchBatch, key: Array) -> tuple[Array, dict[str, Array]]:
@@ -56,15 +72,7 @@ def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
             return flvae_loss(batch.colors, blended, posterior, experiment.kl_weight)
         return flvae_loss(batch.colors[:, None], corners, posterior, experiment.kl_weight)
 
-    state = train(run, experiment.train, starting_params(experiment, patches), loss, patches)
-    card = {
-        "steps": str(experiment.train.steps),
-        "rings": str(experiment.train.steps * experiment.train.batch * VERTICES),
-        "images": str(len(patches.images)),
-        "kl_weight": str(experiment.kl_weight),
-    }
-    save_codec(run.folder / "flvae.safetensors", Codec(experiment.model, state.ema), card)
-    return run
+    return loss
 
 
 def starting_params(experiment: FLVAEExperiment, patches: ImagePatches) -> Any:
