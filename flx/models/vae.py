@@ -62,7 +62,7 @@ class FieldLatentVAE(nn.Module):
 
 
 FAMILIES = {"transformer": transformer, "frame": frame}
-MAY_BE_ZERO = ("invariants", "layers", "depth", "edges")  # all other numbers are 1 or more
+MAY_BE_ZERO = ("invariants", "layers", "depth")  # all other numbers are 1 or more
 
 
 def _at_corners(expanded: Any, queries: Queries) -> Any:
