@@ -119,7 +119,7 @@ def fit_components(images: ImagePatches) -> Components:
 
 def _density(images: ImagePatches) -> Any:
     """The share of a one-ring's samples at each point of the grid; nowhere quite nothing."""
-    z = np.asarray(images.bank.logs).ravel()
+    z: Any = np.asarray(images.bank.logs).ravel()
     edges = (np.arange(GRID + 1) - 0.5) / (GRID - 1) * 2 * REACH - REACH
     counts = np.histogram2d(np.clip(z.imag, -REACH, REACH), np.clip(z.real, -REACH, REACH), [edges, edges])[0]
     counts += 1e-3 * counts.max()

@@ -230,7 +230,7 @@ class ImagePatches:
     """Batches of patches over images of a folder and printed pages; batch `step` is always the same."""
 
     def __init__(self, config: Images, model: FLVAE, batch: int) -> None:
-        images = load_images(Path(config.folder))
+        images: Any = load_images(Path(config.folder))
         prints = printed_pages(round(config.prints * len(images)), SIDE, config.seed)
         images = np.concatenate([images, prints]) if len(prints) else images
         self.digest = hashlib.sha256(images).hexdigest()
