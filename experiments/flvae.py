@@ -1,7 +1,8 @@
 """The released field-latent VAE: `flx train experiments/flvae.py --images.folder FOLDER`.
 
-About 22 minutes on one core of a CPU; PSNR ends between 26 and 27 dB over the training's own patches, whose scales
-reach far beyond 16 numbers a vertex, and at 32.8 dB over held-out photographs. It is the frame codec, not the paper's transformer: see flx/models/frame.py.
+About 22 minutes on one core of a CPU. PSNR ends between 26 and 27 dB over the training's own patches, whose
+scales reach far beyond what 16 numbers a vertex can hold, and at 32.8 dB over held-out photographs. It is the
+frame codec, not the paper's transformer: see flx/models/frame.py.
 """
 
 from flx.config import FLVAE, FLVAEExperiment, Images, Train
