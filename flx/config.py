@@ -14,7 +14,7 @@ Precision = Literal["bfloat16", "float32"]
 class FLVAE:
     """The field-latent VAE (paper, section 3 and supplement B.1)."""
 
-    encoder: Literal["transformer", "frame"] = "transformer"  # "frame" is ours, 40x cheaper a ring
+    encoder: Literal["transformer", "frame"] = "transformer"  # "frame" is ours, far cheaper a ring
     channels: int = 128  # complex channels of the transformer
     layers: int = 8  # VN-Transformer layers
     heads: int = 8

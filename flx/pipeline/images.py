@@ -21,9 +21,10 @@ from PIL import Image
 
 from flx.config import FLVAE, Images
 from flx.mesh.copies import points_in_rings, queries_at
-from flx.mesh.tangent import mean_vertex_radius, tangent_frames
+from flx.mesh.tangent import TangentFrames, mean_vertex_radius, tangent_frames
 from flx.mesh.texels import positions
 from flx.mesh.triangulations import planar
+from flx.mesh.vectors import area_normals, length_of
 from flx.pipeline.prints import printed_pages
 from flx.types import Queries, RingSamples, SurfacePoints, Triangulation
 
@@ -80,13 +81,20 @@ def bank_of_patches(samples: int, queries: int, seed: int) -> Patches:
         sheet = planar(SHEET_VERTICES, (1.0, 1.0), rng, irregularity)
         points, logs = points_in_rings(sheet, samples, rng)
         places = _places(sheet, points).reshape(logs.shape)
+        frames = tangent_frames(sheet)
         for center in rng.choice(SHEET_VERTICES, PATCHES, replace=False):
-            bank.append(_patch(sheet, int(center), logs, places, queries, rng))
+            bank.append(_patch(sheet, frames, int(center), logs, places, queries, rng))
     return jax.tree.map(lambda *parts: np.stack(parts), *bank)
 
 
 def _patch(
-    sheet: Triangulation, center: int, logs: Any, places: Any, queries: int, rng: np.random.Generator
+    sheet: Triangulation,
+    frames: TangentFrames,
+    center: int,
+    logs: Any,
+    places: Any,
+    queries: int,
+    rng: np.random.Generator,
 ) -> Patches:
     """The vertices nearest to one of them, and points uniform in the faces that lie wholly between them."""
     distances = np.linalg.norm(sheet.vertices - sheet.vertices[center], axis=1)
@@ -95,7 +103,7 @@ def _patch(
     numbers[chosen] = np.arange(VERTICES)
     between = np.flatnonzero((numbers[sheet.faces] >= 0).all(1))
     points = _points_in_faces(sheet, between, queries, rng)
-    asked = queries_at(points, sheet, tangent_frames(sheet))
+    asked = queries_at(points, sheet, frames)
     origin = places[center].mean()
     return Patches(
         logs[chosen],
@@ -106,8 +114,7 @@ def _patch(
 
 
 def _points_in_faces(sheet: Triangulation, faces: Any, count: int, rng: np.random.Generator) -> SurfacePoints:
-    a, b, c = sheet.vertices[sheet.faces[faces].T]
-    cumulated = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    cumulated = np.cumsum(length_of(area_normals(sheet.vertices, sheet.faces[faces])))
     strata = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
     picked = faces[np.minimum(np.searchsorted(cumulated, strata), len(faces) - 1)]
     return SurfacePoints(picked, rng.dirichlet(np.ones(3), count))
