@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Precision = Literal["bfloat16", "float32"]
+Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
 @dataclass(frozen=True)

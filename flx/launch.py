@@ -18,11 +18,11 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import tyro
 
-from flx.config import Experiment, FLDMExperiment, FLVAEExperiment
+from flx.config import Compared, Experiment, FLDMExperiment, FLVAEExperiment
 
 # JAX is imported inside the commands: `--help` and `doctor` stay quick, and the processes that build
 # copies of a mesh import this file too.
@@ -134,14 +134,7 @@ def evaluate(
     reconstruction: tuple[str, ...],
     out: Path,
     vertices: tuple[int, ...] = (30_000, 5_000),
-    methods: tuple[Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"], ...] = (
-        "flvae",
-        "barycentric",
-        "inf",
-        "vertex_colours",
-        "pca",
-        "frame_pca",
-    ),
+    methods: tuple[Compared, ...] = get_args(Compared),
     images: Path | None = None,
     weights: str | None = None,
     texture_size: int | None = None,

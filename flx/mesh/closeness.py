@@ -14,7 +14,7 @@ from jaxtyping import Bool, Int
 from flx.mesh.features import features
 from flx.mesh.operators import disjoint, ranks
 from flx.mesh.smoothing import Surface
-from flx.mesh.stars import Stars, independent, sharpest_cosines
+from flx.mesh.stars import Stars, independent, largest, sharpest_cosines
 from flx.mesh.topology import has_edge, mark, topology
 from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
 from flx.types import Triangulation
@@ -204,20 +204,14 @@ def _upright(vertices, faces, moved, turned, owners, size):
     before, after = area_normals(vertices, faces), area_normals(moved, turned)
     mean = [unit(sum_at(owners[:, None], normals, size)) for normals in (before, after)]
     down = [
-        _largest(owners, -dot(unit(normals), mean[k][owners]), size)
+        largest(owners, -dot(unit(normals), mean[k][owners]), size)
         for k, normals in ((0, before), (1, after))
     ]
     sharp = [
-        _largest(owners, sharpest_cosines(*these), size) for these in ((vertices, faces), (moved, turned))
+        largest(owners, sharpest_cosines(*these), size) for these in ((vertices, faces), (moved, turned))
     ]
     good = (down[1] < np.maximum(down[0], -UPRIGHT)) & (dot(*mean) > 0.3)
     return good & (sharp[1] < np.maximum(sharp[0], NEEDLE))
-
-
-def _largest(owners, values, size):
-    largest = np.full(size, -np.inf)
-    np.maximum.at(largest, owners, values)
-    return largest
 
 
 def _leaning(vertices, faces):

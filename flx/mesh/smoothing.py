@@ -97,9 +97,11 @@ def _probes(vertices, faces, topo, length):
     left, right = (np.take(normals, topo.corners[:, side] // 3, 0) for side in range(2))
     pieces = np.ceil(edge_lengths(vertices, topo) / (SPACING * length)).astype(np.int64)
     bent = np.flatnonzero((pieces > 1) & ~topo.boundary & (dot(left, right) < BENT))
-    a, b = np.repeat(topo.edges[bent], pieces[bent] - 1, axis=0).T
-    place = np.arange(len(a)) - np.repeat(np.cumsum(pieces[bent] - 1) - (pieces[bent] - 1), pieces[bent] - 1)
-    t = ((place + 1) / np.repeat(pieces[bent], pieces[bent] - 1))[:, None]
+    inner = pieces[bent] - 1
+    edge = np.repeat(np.arange(len(bent)), inner)
+    place = 1 + np.arange(len(edge)) - (np.cumsum(inner) - inner)[edge]
+    t = (place / pieces[bent[edge]])[:, None]
+    a, b = topo.edges[bent[edge]].T
     return (
         np.concatenate([vertices, (1 - t) * vertices[a] + t * vertices[b]]),
         np.concatenate([outward, unit(outward[a] + outward[b])]),

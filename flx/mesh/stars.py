@@ -28,14 +28,19 @@ class Stars:
 
     def worst(self, values: Float64[Any, "n"]) -> Float64[Any, "N"]:
         """The largest of the values of each star's faces."""
-        worst = np.full(self.size, -np.inf)
-        np.maximum.at(worst, self.owners, values)
-        return worst
+        return largest(self.owners, values, self.size)
 
     def keep_facing(self, moved: Float64[Any, "V 3"], least: float = 0.5) -> Bool[Any, "N"]:
         """Whether no face of the star turns by more than arccos(`least`)."""
         turn = dot(unit(self.face_normals), unit(area_normals(moved, self.faces)))
         return self.worst(-turn) < -least
+
+
+def largest(owners: Int[Any, "n"], values: Float64[Any, "n"], size: int) -> Float64[Any, "N"]:
+    """The largest of the values of each owner; −∞ for who owns none."""
+    found = np.full(size, -np.inf)
+    np.maximum.at(found, owners, values)
+    return found
 
 
 def independent(

@@ -13,11 +13,12 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, get_args
 
 from PIL import Image
 from tqdm import tqdm
 
+from flx.config import Compared
 from flx.mesh.assets import Asset, read_asset
 from flx.mesh.copies import sample_rings
 from flx.mesh.texels import with_filled_gutters
@@ -39,7 +40,7 @@ from flx.pipeline.intrinsic import intrinsic_field
 from flx.pipeline.perceptual import HINT, installed_judges
 from flx.pipeline.runs import write_atomically
 
-METHODS = ("flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca")
+METHODS = get_args(Compared)
 FITTED = ("pca", "frame_pca")  # to images
 SAMPLES = 64  # colours a one-ring
 Row = dict[str, Any]
