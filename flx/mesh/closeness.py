@@ -5,44 +5,42 @@ that bend too little or are too short to be features. First vertices go to the f
 (`reach`) while the copy can still be smoothed around them; what is left is searched at random (`tighten`).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
-import igl
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float64, Int
 
-from flx.mesh.features import features
+from flx.mesh.fit import EASY, fit_of, gaps_of, shapes_of
 from flx.mesh.operators import disjoint, ranks
 from flx.mesh.smoothing import Surface
-from flx.mesh.stars import Stars, independent, largest, sharpest_cosines
-from flx.mesh.topology import has_edge, mark, topology
+from flx.mesh.stars import Stars, independent, largest, longest_sides, sharpest_cosines
+from flx.mesh.topology import all_of, any_of, has_edge, mark, topology
 from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
 from flx.types import Triangulation
 
-EASY = 0.7  # of the gap allowed: narrower ones are nothing to the search for a better place
-TRIES = 80  # of each place
-SHARP_TRIES = 8  # of faces that are sharp but close to the surface
+LAPS, TRIES = 30, 8  # of each place
+SHARP_LAPS = 2  # in which places that are only sharp are looked at, too
+RINGS = 3  # of faces around the places of a lap
 STEP = 0.6  # of an edge: the longest random move, nearly
+ANEW = 0.3  # share of the moves that start amid a vertex's neighbours and end anywhere
 AIMED = 0.5  # share of the moves that go towards a point that the mesh misses, where there is one
 COARSE = 3e-3  # of the diagonal: a mesh that may leave wider gaps closes none but its widest,
-WIDEST = 3e-3  # this share of them: all of a surface finer than the mesh would cost it its angles
+WIDEST = 5e-4  # this share of them: all of a surface finer than the mesh would cost it its angles
+LONGEST = 1.7  # edges, in wanted lengths, that the search makes
 UPRIGHT = 0.1  # the least cosine between a face and its patch
 FAIR = np.cos(np.radians(35.0))  # the sharpest corner that the search makes
 NEEDLE = np.cos(np.radians(10.0))  # the sharpest that reaching a tip makes, before it is smoothed
-SLOPE = np.cos(np.radians(25.0))  # faces that lean less against their corners' normals hide no gap
-# Barycentric coordinates that are multiples of a third: corners too, since not all have landed.
-LATTICE = np.array([(i, j, 3 - i - j) for i in range(4) for j in range(4 - i)]) / 3
 
 
 def gap_to_close(mesh: Triangulation, surface: Surface) -> float:
     """From which width on gaps are worth closing."""
     if surface.gap < COARSE * np.linalg.norm(np.ptp(surface.vertices, axis=0)):
         return surface.gap
-    return max(surface.gap, float(np.quantile(_gaps(surface.probes, *mesh)[0], 1 - WIDEST)))
+    return max(surface.gap, float(np.quantile(gaps_of(surface.probes, *mesh)[0], 1 - WIDEST)))
 
 
 def reach(
-    mesh: Triangulation, surface: Surface, pinned: Bool[Any, "V"], probes: Int[Any, "N"]
+    mesh: Triangulation, surface: Surface, gap: float, pinned: Bool[Any, "V"], probes: Int[Any, "N"]
 ) -> tuple[Triangulation, Bool[Any, "V"], Int[Any, "n"]]:
     """Move vertices onto the points of the surface that the mesh misses by far, and pin them there.
 
@@ -52,9 +50,9 @@ def reach(
     """
     vertices, faces = mesh[0].copy(), mesh[1]
     count = len(vertices)
-    gaps, hit = _gaps(surface.probes[probes], vertices, faces)
-    again = probes[gaps > surface.gap / 2]
-    missed = np.flatnonzero(gaps > surface.gap)
+    gaps, hit = gaps_of(surface.probes[probes], vertices, faces)
+    again = probes[gaps > gap / 2]
+    missed = np.flatnonzero(gaps > gap)
     targets, outward = surface.probes[probes[missed]], surface.outward[probes[missed]]
     gaps = gaps[missed]
     topo = topology(faces, count)
@@ -76,115 +74,123 @@ def reach(
     return Triangulation(vertices, faces), pinned | mark(count, asked[good]), again
 
 
-def tighten(mesh: Triangulation, surface: Surface, rng: np.random.Generator) -> Triangulation:
+def tighten(mesh: Triangulation, surface: Surface, gap: float, rng: np.random.Generator) -> Triangulation:
     """Move vertices and flip edges at random where the mesh is far from the surface, the surface from it, or
     a corner sharp, and keep what makes the sum of squared excesses smaller.
 
-    Only faces around such places are asked, so it costs little.
+    Only the surroundings of such places are looked at, so it costs little.
     """
-    vertices, faces = mesh[0].copy(), mesh[1].copy()
-    gaps, hits = _gaps(surface.probes, vertices, faces)
-    gaps /= surface.gap
-    leaning = _leaning(vertices, faces)
-    sags = np.zeros((len(faces), len(LATTICE)))
-    sags[leaning] = _sags(surface, vertices, faces[leaning])
-    cosines = sharpest_cosines(vertices, faces)
-    far = sags.max(1) > 1
-    for attempt in range(TRIES):
-        wide = far.copy()
-        wide[hits[gaps > 1]] = True
-        bad = wide | (cosines > FAIR) & (attempt < SHARP_TRIES)
+    fit = fit_of(mesh, surface, gap)
+    for lap in range(LAPS):
+        bad = fit.wide | (fit.shapes.cosines > FAIR) & (lap < SHARP_LAPS)
         if not bad.any():
             break
-        loose = _grown(wide, faces, len(vertices))
-        # A part of the mesh, two rings around the faces asked, with vertices of its own.
-        part = np.flatnonzero(_grown(_grown(bad, faces, len(vertices)), faces, len(vertices)))
-        inside, local = np.unique(faces[part], return_inverse=True)
-        local = local.reshape(-1, 3)
-        points, asked = vertices[inside], np.flatnonzero(bad[part])
-        if attempt % 2:
-            moved, rows, turned, owners, size = _flips(points, local, asked, loose[part], rng)
-        else:
-            missed = np.flatnonzero(gaps > 1)
-            place = np.full(len(faces), -1)
-            place[part] = np.arange(len(part))
-            goals = np.full((len(local), 3), np.nan)
-            goals[place[hits[missed]]] = surface.probes[missed]
-            moved, rows, turned, owners, size = _moves(
-                points, local, asked, loose[part], goals[asked], surface, rng
-            )
-        if not size:
-            continue
-        patch = np.full(len(faces), -1)
-        patch[part[rows]] = owners
-        asked = np.flatnonzero(patch[hits] >= 0)
-        after = local.copy()
-        after[rows] = turned
-        new_gaps, new_hits = _gaps(surface.probes[asked], moved, after)
-        new_gaps /= surface.gap
-        new_sags = _sags(surface, moved, turned)
-        new_cosines = sharpest_cosines(moved, turned)
-        by_probe = patch[hits[asked]]
-        before = _cost(owners, size, sags[part[rows]], cosines[part[rows]], by_probe, gaps[asked])
-        better = _cost(owners, size, new_sags, new_cosines, by_probe, new_gaps) < before
-        better &= _upright(vertices[inside], local[rows], moved, turned, owners, size)
-        kept = better[owners]
-        rows, turned = part[rows[kept]], turned[kept]
-        vertices[inside[turned]] = moved[turned]
-        faces[rows] = inside[turned]
-        sags[rows], cosines[rows] = new_sags[kept], new_cosines[kept]
-        far[rows] = new_sags[kept].max(1) > 1
-        kept = better[by_probe]
-        gaps[asked[kept]], hits[asked[kept]] = new_gaps[kept], part[new_hits[kept]]
-    return Triangulation(vertices, faces)
+        for _ in range(RINGS):
+            bad = _grown(bad, fit.faces, len(fit.vertices))
+        rows = np.flatnonzero(bad)
+        part, inside, asked = fit.cut(rows)
+        for attempt in range(TRIES):
+            wide = part.wide
+            bad = wide | (part.shapes.cosines > FAIR) & (lap < SHARP_LAPS)
+            if not bad.any():
+                break
+            loose = _grown(wide, part.faces, len(part.vertices))
+            if attempt % 2:
+                change = _flips(part, np.flatnonzero(bad), loose, rng)
+            else:
+                change = _moves(part, np.flatnonzero(bad), loose, surface, rng)
+            _take_over(part, change, surface, gap)
+        fit.vertices[inside], fit.faces[rows] = part.vertices, inside[part.faces]
+        fit.shapes.put(rows, part.shapes)
+        fit.gaps[asked], fit.hits[asked] = part.gaps, rows[part.hits]
+    return Triangulation(fit.vertices, fit.faces)
 
 
-def _cost(owners, size, sags, cosines, by_probe, gaps):
+class Change(NamedTuple):
+    """A change of patches of a mesh, no two of which share a face."""
+
+    vertices: Float64[Any, "V 3"]
+    rows: Int[Any, "n"]  # the faces that change,
+    faces: Int[Any, "n 3"]  # what they become,
+    owners: Int[Any, "n"]  # and their patches
+    size: int  # how many patches
+
+
+def _take_over(fit, change, surface, gap):
+    """Change the patches that cost less then."""
+    rows, owners, size = change.rows, change.owners, change.size
+    patch = np.full(len(fit.faces), -1)
+    patch[rows] = owners
+    asked = np.flatnonzero(patch[fit.hits] >= 0)
+    by_probe = patch[fit.hits[asked]]
+    faces = fit.faces.copy()
+    faces[rows] = change.faces
+    gaps, hits = gaps_of(fit.probes[asked], change.vertices, faces)
+    gaps /= gap
+    shapes = shapes_of(change.vertices, change.faces, surface, gap)
+    before = _cost(fit.shapes.at(rows), owners, fit.gaps[asked], by_probe, size)
+    better = _cost(shapes, owners, gaps, by_probe, size) < before
+    better &= _sound(fit, change, surface.length)
+    kept = better[owners]
+    rows, faces = rows[kept], change.faces[kept]
+    fit.vertices[faces], fit.faces[rows] = change.vertices[faces], faces
+    fit.shapes.put(rows, shapes.at(kept))
+    kept = better[by_probe]
+    fit.gaps[asked[kept]], fit.hits[asked[kept]] = gaps[kept], hits[kept]
+
+
+def _cost(shapes, owners, gaps, by_probe, size):
     """Of each patch: squares of gaps beyond `EASY` and of cosines beyond `FAIR`, summed."""
-    faces = (np.maximum(sags - EASY, 0) ** 2).sum(1) + np.maximum(cosines - FAIR, 0) ** 2
+    faces = shapes.excess + np.maximum(shapes.cosines - FAIR, 0) ** 2
     return np.bincount(owners, faces, size) + np.bincount(by_probe, np.maximum(gaps - EASY, 0) ** 2, size)
 
 
 def _grown(faces_in, faces, count):
     """With all faces that share a vertex."""
-    return mark(count, faces[faces_in].ravel())[faces].any(1)
+    return any_of(mark(count, faces[faces_in]), faces)
 
 
-def _moves(vertices, faces, bad, loose, goals, surface, rng):
+def _moves(fit, bad, loose, surface, rng):
     """Stars of corners of bad faces, no two adjacent, their centres moved at random on the surface."""
+    vertices, faces = fit.vertices, fit.faces
     count = len(vertices)
+    goals = np.full((len(faces), 3), np.nan)
+    missed = fit.gaps > 1
+    goals[fit.hits[missed]] = fit.probes[missed]
     topo = topology(faces, count)
-    kind = features(vertices, faces, topo)[1]
+    kind = fit.kind.copy()
     rim = mark(count, topo.edges[topo.boundary].ravel())
     corners = faces[bad, rng.integers(3, size=len(bad))]
     asked, first = np.unique(corners, return_index=True)
-    goals = goals[first]
-    free = ~rim[asked] & ((kind[asked] < 2) | loose[bad[first]])
-    asked, goals = asked[free], goals[free]
-    won = independent(topo.edges, count, asked, rng.permutation(len(asked)))
-    asked, goals = asked[won], goals[won]
+    goals, loose = goals[bad[first]], loose[bad[first]]
+    # A spike takes itself for a crease, and lands on none there is: some start anew amid their neighbours.
+    anew = loose & (rng.random(len(asked)) < ANEW)
+    kind[asked[anew]] = 0
+    free = ~rim[asked] & ((kind[asked] < 2) | loose)
+    free[free] = independent(topo.edges, count, asked[free], rng.permutation(int(free.sum())))
+    asked, goals, anew = asked[free], goals[free], anew[free]
     stars = Stars(vertices, faces, asked)
+    start = np.where(anew[:, None], stars.middles(vertices), vertices[asked])
     step = rng.normal(size=(len(asked), 3)) * (STEP * surface.length * rng.random(len(asked)))[:, None]
     step -= dot(step, stars.normals)[:, None] * stars.normals
     aimed = np.isfinite(goals[:, 0]) & (rng.random(len(asked)) < AIMED)
     share = rng.uniform(0.5, 1.5, (len(asked), 1))
-    step[aimed] = (share * (goals - vertices[asked]))[aimed]
-    landed, trusted = surface.land(vertices[asked] + step, stars.normals, kind[asked], rim[asked])
-    # What never landed has no side to keep to.
-    trusted |= surface.distances(vertices[asked]) > 0.1 * surface.length
+    step[aimed] = (share * (goals - start))[aimed]
+    landed, trusted = surface.land(start + step, stars.normals, kind[asked], rim[asked])
     there = aimed & (share[:, 0] > 1)
     landed[there], trusted[there] = goals[there], True
     moved = vertices.copy()
     moved[asked[trusted]] = landed[trusted]
-    return moved, stars.ids, stars.faces, stars.owners, len(asked)
+    return Change(moved, stars.ids, stars.faces, stars.owners, len(asked))
 
 
-def _flips(vertices, faces, bad, loose, rng):
+def _flips(fit, bad, loose, rng):
     """Pairs of faces, one of each bad, no two of them touching, with their common edge flipped."""
+    vertices, faces = fit.vertices, fit.faces
     count = len(vertices)
     topo = topology(faces, count)
     edges = np.unique(topo.face_edges[bad, rng.integers(3, size=len(bad))])
-    free = ~features(vertices, faces, topo)[0] | mark(len(topo.edges), topo.face_edges[loose])
+    free = ~all_of(fit.kind > 0, topo.edges) | mark(len(topo.edges), topo.face_edges[loose])
     edges = edges[free[edges] & ~topo.boundary[edges]]
     rows, corner = topo.corners[edges] // 3, topo.corners[edges, 0] % 3
     p, q = faces.ravel()[topo.corners[edges].T]
@@ -196,39 +202,21 @@ def _flips(vertices, faces, bad, loose, rng):
     chosen = disjoint(quads, count, rng.random(len(quads)))
     quads, rows = quads[chosen], rows[chosen]
     turned = np.concatenate([quads[:, [2, 0, 3]], quads[:, [3, 1, 2]]])
-    return vertices, rows.T.ravel(), turned, np.tile(np.arange(len(quads)), 2), len(quads)
+    return Change(vertices, rows.T.ravel(), turned, np.tile(np.arange(len(quads)), 2), len(quads))
 
 
-def _upright(vertices, faces, moved, turned, owners, size):
-    """Whether the faces of a patch look one way, or about as well as before, and none is a needle."""
-    before, after = area_normals(vertices, faces), area_normals(moved, turned)
-    mean = [unit(sum_at(owners[:, None], normals, size)) for normals in (before, after)]
+def _sound(fit, change, length):
+    """Whether the faces of a patch look one way, none is a needle and none too long, or about as before."""
+    owners, size = change.owners, change.size
+    states = ((fit.vertices, fit.faces[change.rows]), (change.vertices, change.faces))
+    normals = [area_normals(*state) for state in states]
+    mean = [unit(sum_at(owners[:, None], each, size)) for each in normals]
     down = [
-        largest(owners, -dot(unit(normals), mean[k][owners]), size)
-        for k, normals in ((0, before), (1, after))
+        largest(owners, -dot(unit(each), np.take(main, owners, 0)), size)
+        for each, main in zip(normals, mean, strict=True)
     ]
-    sharp = [
-        largest(owners, sharpest_cosines(*these), size) for these in ((vertices, faces), (moved, turned))
-    ]
+    sharp = [largest(owners, sharpest_cosines(*state), size) for state in states]
+    long = [largest(owners, longest_sides(*state), size) for state in states]
     good = (down[1] < np.maximum(down[0], -UPRIGHT)) & (dot(*mean) > 0.3)
-    return good & (sharp[1] < np.maximum(sharp[0], NEEDLE))
-
-
-def _leaning(vertices, faces):
-    """Which faces lean against the normal of a corner; the others hide no gap."""
-    normals = area_normals(vertices, faces)
-    corners = unit(sum_at(faces, normals, len(vertices)))
-    normals = unit(normals)
-    return np.minimum.reduce([dot(normals, np.take(corners, faces[:, k], 0)) for k in range(3)]) < SLOPE
-
-
-def _sags(surface, vertices, faces):
-    """How far the points `LATTICE` of faces are from the surface, in gaps allowed."""
-    points = np.einsum("pk,fkc->fpc", LATTICE, np.take(vertices, faces, 0))
-    return surface.distances(points.reshape(-1, 3)).reshape(len(faces), len(LATTICE)) / surface.gap
-
-
-def _gaps(points, vertices, faces):
-    """How far points are from a mesh, and which face is the closest."""
-    square, face, _ = igl.point_mesh_squared_distance(points, vertices, faces)
-    return np.sqrt(np.asarray(square)), np.asarray(face)
+    good &= sharp[1] < np.maximum(sharp[0], NEEDLE)
+    return good & (long[1] <= np.maximum(long[0], LONGEST * length))

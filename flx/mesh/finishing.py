@@ -19,19 +19,19 @@ from flx.mesh.vectors import dot
 from flx.types import Triangulation
 
 SHARP = np.cos(np.radians(38.0))  # corners below 38° are asked to widen
-TRIES = 16  # of each vertex asked
+TRIES = 24  # of each vertex asked
 NARROW = np.cos(np.radians(20.0))  # corners sharper than that are needles: features give way to them
 REACHES = 3  # each followed by smoothing, which loses a few points again
 
 
 def finish(mesh: Triangulation, surface: Surface, rng: np.random.Generator) -> Triangulation:
     """Reach what the mesh misses, widen its angles, close what gaps are left."""
-    surface.gap = gap_to_close(mesh, surface)
+    gap = gap_to_close(mesh, surface)
     pinned, probes = np.zeros(len(mesh.vertices), bool), np.arange(len(surface.probes))
     for _ in range(REACHES):
-        mesh, pinned, probes = reach(mesh, surface, pinned, probes)
+        mesh, pinned, probes = reach(mesh, surface, gap, pinned, probes)
         mesh = flip(smooth(mesh, surface, 1, pinned), rng, delaunay=True, passes=2)
-    return tighten(widen_angles(mesh, pinned, surface, rng), surface, rng)
+    return tighten(widen_angles(mesh, pinned, surface, rng), surface, gap, rng)
 
 
 def widen_angles(

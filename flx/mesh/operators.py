@@ -3,13 +3,13 @@
 Features (flx.mesh.features) stay: their vertices move along them only.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
 from flx.mesh.features import features
-from flx.mesh.topology import Topology, edge_lengths, has_edge, mark, topology
+from flx.mesh.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, mark, topology
 from flx.mesh.vectors import area_normals, cross, dot, length_of, unit
 from flx.types import Triangulation
 
@@ -48,13 +48,15 @@ def split(
 def ranks(priority: Float64[Any, "N"]) -> Int[Any, "N"]:
     """The place of each in the order of ascending priority."""
     rank = np.empty(len(priority), np.int64)
-    rank[np.argsort(priority, kind="stable")] = np.arange(len(priority))
+    rank[np.argsort(priority)] = np.arange(len(priority))
     return rank
 
 
 def _unconnected(topo, count, pairs, priority):
     """A maximal set (nearly) of `pairs` of which no two are joined by an edge, lowest priority first."""
-    (a, b), (u, v), rank = pairs.T, topo.edges.T, ranks(priority)
+    (a, b), rank = pairs.T, ranks(priority)
+    live = mark(count, pairs)
+    u, v = topo.edges[all_of(live, topo.edges)].T
     won, left = [], np.arange(len(pairs))
     for _ in range(3):
         best = np.full(count, len(pairs))
@@ -79,10 +81,22 @@ def disjoint(groups: Int[Any, "N K"], count: int, priority: Float64[Any, "N"]) -
         best = np.full(count, len(groups))
         for member in groups[left].T:
             np.minimum.at(best, member, rank[left])
-        won.append(left[(best[groups[left]] == rank[left, None]).all(1)])
+        first = [np.take(best, members) == rank[left] for members in groups[left].T]
+        won.append(left[np.logical_and.reduce(first)])
         taken = mark(count, groups[won[-1]].ravel())
-        left = left[~taken[groups[left]].any(1)]
+        left = left[~any_of(taken, groups[left])]
     return np.concatenate(won)
+
+
+class Collapsed(NamedTuple):
+    """A mesh, how many of its edges were collapsed, and which may not be: no need to ask again."""
+
+    mesh: Triangulation
+    done: int
+    refused: Int[Any, "N 2"]
+
+
+ASK_ALL = np.zeros((0, 2), np.int64)
 
 
 def collapse(
@@ -92,17 +106,19 @@ def collapse(
     rng: np.random.Generator,
     most: int | None = None,
     bend: float = 0.3,
-) -> tuple[Triangulation, int]:
-    """Collapse a random independent set of edges shorter than `shortest`, the shorter ones rather.
+    refused: Int[Any, "N 2"] = ASK_ALL,
+) -> Collapsed:
+    """Collapse a random independent set of edges shorter than `shortest`, `most` at most, the shorter rather.
 
     An edge stays where the topology would change, a feature would be cut, a face would turn by more than
-    arccos(`bend`) or an edge would grow beyond `longest`. Returns the mesh and how many of `most` were done.
+    arccos(`bend`) or an edge would grow beyond `longest`; the edges `refused` before are not asked.
     """
     vertices, faces = mesh
     count = len(vertices)
     topo = topology(faces, count)
     feature, kind = features(vertices, faces, topo)
-    ids = _collapsible(vertices, faces, topo, feature, kind, shortest, rng)
+    asked = ~mark(len(topo.edges), find_edges(topo, count, *refused.T))
+    ids = _collapsible(vertices, faces, topo, feature, kind, shortest, asked, rng)
     a, b = topo.edges[ids].T
     middle = (vertices[a] + vertices[b]) / 2
     # A feature vertex stays in place, unless two slide together along their curve.
@@ -111,8 +127,13 @@ def collapse(
     middle = np.where((kind[b] > kind[a])[:, None], vertices[b], middle)
     moved = vertices.copy()
     moved[a] = moved[b] = middle
-    done = np.flatnonzero(_collapses_well(vertices, moved, faces, a, b, longest, bend))[:most]
+    good = _collapses_well(vertices, moved, faces, a, b, longest, bend)
+    refused = np.concatenate([refused, topo.edges[ids[~good]]])
+    done = np.flatnonzero(good)[:most]
     a, b = a[done], b[done]
+    around = any_of(mark(count, np.concatenate([a, b])), faces)
+    changed = mark(count, faces[around])
+    refused = refused[~any_of(changed, refused)]
     target = np.arange(count)
     target[b] = a
     vertices = vertices.copy()
@@ -121,31 +142,39 @@ def collapse(
     kept = (x != y) & (y != z) & (z != x)
     remains = ~mark(count, b)
     new_index = np.cumsum(remains) - 1
-    return Triangulation(vertices[remains], new_index[target[faces[kept]]]), len(done)
+    mesh = Triangulation(vertices[remains], new_index[target[faces[kept]]])
+    return Collapsed(mesh, len(done), new_index[refused])
 
 
-def _collapsible(vertices, faces, topo, feature, kind, shortest, rng):
+def _collapsible(vertices, faces, topo, feature, kind, shortest, asked, rng):
     """A random independent set of short edges that neither topology nor features protect."""
     count = len(vertices)
-    a, b = topo.edges.T
     lengths = edge_lengths(vertices, topo)
-    rim = mark(count, topo.edges[topo.boundary].ravel())
-    free = (feature | (kind[a] == 0) | (kind[b] == 0)) & ((kind[a] < 2) | (kind[b] < 2) | topo.boundary)
-    free |= (lengths < NEEDLE * shortest) & (topo.boundary | ~(rim[a] & rim[b]))
+    ids = np.flatnonzero(asked & (lengths < shortest))
+    a, b = topo.edges[ids].T
+    boundary = topo.boundary
+    rim = mark(count, topo.edges[boundary].ravel())
+    boundary = boundary[ids]
+    free = (feature[ids] | (kind[a] == 0) | (kind[b] == 0)) & ((kind[a] < 2) | (kind[b] < 2) | boundary)
+    free |= (lengths[ids] < NEEDLE * shortest) & (boundary | ~(rim[a] & rim[b]))
     # A fan must remain around the opposite vertices: three faces, two at the boundary.
     spare = np.bincount(topo.edges.ravel(), minlength=count) - np.where(rim, 2, 3)
-    opposite = faces.ravel()[np.where(topo.corners < 0, topo.corners[:, :1], topo.corners)]
-    free &= (spare[opposite] > 0).all(1)
-    ids = np.flatnonzero(free & (lengths < shortest))
+    corners = topo.corners[ids]
+    opposite = faces.ravel()[np.where(corners < 0, corners[:, :1], corners)]
+    free &= all_of(spare > 0, opposite)
+    ids, opposite, boundary = ids[free], opposite[free], boundary[free]
     priority = lengths[ids] / shortest + rng.random(len(ids))
-    ids = ids[_unconnected(topo, count, topo.edges[ids], priority)]
+    won = _unconnected(topo, count, topo.edges[ids], priority)
+    ids, opposite, boundary = ids[won], opposite[won], boundary[won]
     # An opposite vertex loses an edge to each collapse around it: where that is too many, one goes ahead.
-    lost = np.bincount(opposite[ids].ravel(), minlength=count)
-    crowded = (lost > spare)[opposite[ids]].any(1)
-    ids = np.concatenate([ids[~crowded], ids[crowded][:1]])
+    lost = np.bincount(opposite.ravel(), minlength=count)
+    crowded = any_of(lost > spare, opposite)
+    first = np.flatnonzero(crowded)[:1]
+    kept = np.concatenate([np.flatnonzero(~crowded), first])
+    ids, boundary = ids[kept], boundary[kept]
     # Link condition: the ends have no neighbour in common but the opposite vertices.
     common = _common_neighbors(topo, count, *topo.edges[ids].T)
-    return ids[common == np.where(topo.boundary[ids], 1, 2)]
+    return ids[common == np.where(boundary, 1, 2)]
 
 
 def _common_neighbors(topo, count, a, b):
@@ -165,9 +194,10 @@ def _collapses_well(vertices, moved, faces, a, b, longest, bend):
     """For each collapsing edge: no face around it turns over and no edge gets too long."""
     owner = np.full(len(vertices), -1)
     owner[a] = owner[b] = np.arange(len(a))
-    owners = owner[faces]
-    around = np.flatnonzero((owners >= 0).sum(1) == 1)
-    rim, pair = faces[around], owners[around].max(1)
+    owners = [np.take(owner, faces[:, k]) for k in range(3)]
+    pair = np.maximum.reduce(owners)
+    around = np.flatnonzero(np.add.reduce([each >= 0 for each in owners], dtype=np.int8) == 1)
+    rim, pair = faces[around], pair[around]
     before, after = area_normals(vertices, rim), area_normals(moved, rim)
     corners = [np.take(moved, rim[:, k], 0) for k in range(3)]
     side = np.maximum.reduce([length_of(corners[k] - corners[k - 1]) for k in range(3)])
@@ -179,10 +209,12 @@ def flip(mesh: Triangulation, rng: np.random.Generator, delaunay: bool, passes: 
     """Flip edges towards valence 6 (4 at a boundary), or towards intrinsic Delaunay; features stay."""
     vertices, faces = mesh
     count = len(vertices)
+    topo = topology(faces, count)
+    held = topo.edges[features(vertices, faces, topo)[0]]  # no flip makes others
     for _ in range(passes):
-        topo = topology(faces, count)
+        held = held[has_edge(topo, count, *held.T)]
         inner = np.flatnonzero(~topo.boundary)
-        free = ~features(vertices, faces, topo)[0][inner]
+        free = ~mark(len(topo.edges), find_edges(topo, count, *held.T))[inner]
         face, corner = topo.corners[inner] // 3, topo.corners[inner, 0] % 3
         # The faces are (p, a, b) and (q, b, a); they become (p, a, q) and (q, b, p).
         p, q = faces.ravel()[topo.corners[inner].T]
@@ -206,6 +238,7 @@ def flip(mesh: Triangulation, rng: np.random.Generator, delaunay: bool, passes: 
         faces[face[chosen, 1]] = quads[chosen][:, [3, 1, 2]]
         if len(chosen) < 0.002 * len(faces):
             break
+        topo = topology(faces, count)
     return Triangulation(vertices, faces)
 
 

@@ -34,6 +34,7 @@ class Surface:
         )
         self.gap = min(GAP, narrow) * length
         self.normals = unit(self.normals)
+        self.edges, self.face_edges = topo.edges, topo.face_edges
         self.tree = igl.AABB()
         self.tree.init(vertices, faces)
         self.boundary = np.ascontiguousarray(topo.edges[topo.boundary])
@@ -50,12 +51,19 @@ class Surface:
         """Closest points: of features on the features, of boundaries (`rim`) on the boundary, else on faces.
 
         Also whether they are to be trusted: on a thin wall the closest point may be the far side's, whose
-        normal is another.
+        normal is another. Then it is asked for again from above and from below, where each side is apart.
         """
-        _, face, closest = self.tree.squared_distance(self.vertices, self.faces, np.ascontiguousarray(points))
-        landed, trusted = np.asarray(closest), dot(self.normals[np.asarray(face)], normals) > 0.3
+        landed, trusted = self._on_faces(points, normals)
         # The normal of a feature vertex says little.
         trusted |= rim | ((kind > 0) & (length_of(landed - points) < 0.5 * self.length))
+        lost = np.flatnonzero(~trusted)
+        apart = np.full(len(lost), self.length)
+        for lift in (0.5, -0.5):
+            found, faced = self._on_faces(points[lost] + lift * self.length * normals[lost], normals[lost])
+            distance = length_of(found - points[lost])
+            closer = faced & (distance < apart)
+            apart[closer], landed[lost[closer]] = distance[closer], found[closer]
+            trusted[lost[closer]] = True
         members = np.flatnonzero((kind > 0) & ~rim)
         if len(self.creases) and len(members):
             square, _, closest = igl.point_mesh_squared_distance(points[members], self.vertices, self.creases)
@@ -68,6 +76,11 @@ class Surface:
             near = length_of(closest - points[members]) < self.length
             landed[members[near]] = closest[near]
         return landed, trusted
+
+    def _on_faces(self, points, normals):
+        """Closest points, and whether the surface faces the same way there."""
+        _, face, closest = self.tree.squared_distance(self.vertices, self.faces, np.ascontiguousarray(points))
+        return np.asarray(closest), dot(self.normals[np.asarray(face)], normals) > 0.3
 
     def _on_boundary(self, points, normals):
         """Closest boundary points where the surface faces the same way.

@@ -25,6 +25,13 @@ class Stars:
         self.faces, self.owners, self.size = faces[self.ids], owners[self.ids], len(centers)
         self.face_normals = area_normals(vertices, self.faces)
         self.normals = unit(sum_at(self.owners[:, None], self.face_normals, self.size))
+        self.centers = centers
+
+    def middles(self, vertices: Float64[Any, "V 3"]) -> Float64[Any, "N 3"]:
+        """The mean of each centre's neighbours, where its faces close."""
+        corners = np.take(vertices, self.faces, 0).sum(1) - vertices[self.centers[self.owners]]
+        sums = sum_at(self.owners[:, None], corners, self.size)
+        return sums / (2 * np.bincount(self.owners, minlength=self.size))[:, None]
 
     def worst(self, values: Float64[Any, "n"]) -> Float64[Any, "N"]:
         """The largest of the values of each star's faces."""
@@ -58,3 +65,9 @@ def sharpest_cosines(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> F
     a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
     sides = np.sort([dot(u, u) for u in (b - a, c - b, a - c)], axis=0)
     return (sides[1] + sides[2] - sides[0]) / (2 * np.sqrt(sides[1] * sides[2]) + 1e-300)
+
+
+def longest_sides(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
+    """The length of each face's longest side."""
+    a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
+    return np.sqrt(np.maximum.reduce([dot(u, u) for u in (b - a, c - b, a - c)]))

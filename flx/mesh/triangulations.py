@@ -14,7 +14,7 @@ from jaxtyping import Float64, Int
 from scipy.spatial import Delaunay, KDTree
 
 from flx.mesh.finishing import finish
-from flx.mesh.operators import collapse, flip, split
+from flx.mesh.operators import ASK_ALL, collapse, flip, split
 from flx.mesh.smoothing import Surface, smooth
 from flx.mesh.topology import edge_lengths, invariants, mark, topology
 from flx.mesh.vectors import area_normals, length_of, sum_at
@@ -22,7 +22,7 @@ from flx.types import Triangulation
 
 COARSENING = 1.4  # edge length of the random coarse mesh, in wanted edge lengths; at 1.0 copies share 74 %
 ROUNDS = 2
-FEW = 0.005  # of the vertices: fewer collapses at once are not worth another look
+FEW = 0.015  # of the vertices: fewer collapses at once are not worth another look
 LONGEST, SHORTEST = 4 / 3, 0.8  # of the wanted edge length (Botsch & Kobbelt)
 
 
@@ -80,8 +80,9 @@ def _split_long(mesh, longest, rng):
 
 def _collapse_short(mesh, length, rng):
     """Collapse until few edges are shorter than 0.8 `length`."""
+    refused = ASK_ALL
     while True:
-        mesh, done = collapse(mesh, SHORTEST * length, LONGEST * length, rng)
+        mesh, done, refused = collapse(mesh, SHORTEST * length, LONGEST * length, rng, refused=refused)
         if done < FEW * len(mesh.vertices):
             return mesh
 
@@ -89,10 +90,12 @@ def _collapse_short(mesh, length, rng):
 def _settle(mesh, count, length, rng):
     """Bring the mesh to `count` vertices: collapse its shortest edges, less and less choosy, or split."""
     for shortest, longest, bend in ((1.3, 2.0, 0.3), (2.0, 3.0, 0.1), (np.inf, np.inf, -1.0)):
-        done = 1
+        done, refused = 1, ASK_ALL
         while done and len(mesh.vertices) > count:
             surplus = len(mesh.vertices) - count
-            mesh, done = collapse(mesh, shortest * length, longest * length, rng, surplus, bend)
+            mesh, done, refused = collapse(
+                mesh, shortest * length, longest * length, rng, surplus, bend, refused
+            )
     while len(mesh.vertices) < count:
         mesh = _split_longest(mesh, count - len(mesh.vertices), rng)
     return mesh
