@@ -20,7 +20,7 @@ from jaxtyping import Float32, Float64, Int, UInt8
 from PIL import Image
 
 from flx.mesh import glb
-from flx.mesh.files import BadFile, read_file
+from flx.mesh.files import BadFile, read_file, write_atomically
 from flx.mesh.formats import READERS, Contents
 from flx.mesh.gltf import Gltf, Paint, Part
 from flx.mesh.images import check_together, decode_image
@@ -323,7 +323,7 @@ def write_glb(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
     else:
         shown = {i: paint.texture for i, paint in enumerate(asset.paints) if paint.texture in pngs}
         file = glb.replace_base_color(asset.container, shown, pngs)
-    glb.write_file(glb.glb_bytes(file), Path(path))
+    write_atomically(Path(path), glb.glb_bytes(file))
 
 
 def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
@@ -342,7 +342,7 @@ def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
     else:
         origins = [part.origin for part in asset.parts]
         file = glb.replace_colors(asset.container, dict(zip(origins, each, strict=True)))
-    glb.write_file(glb.glb_bytes(file), Path(path))
+    write_atomically(Path(path), glb.glb_bytes(file))
 
 
 def encode_png(image: UInt8[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:

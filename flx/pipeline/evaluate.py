@@ -15,6 +15,7 @@ from skimage.metrics import structural_similarity
 from flx.config import Surface
 from flx.mesh.assets import read_asset
 from flx.mesh.copies import make_copy
+from flx.mesh.files import write_atomically
 from flx.mesh.seams import seam_ratio
 from flx.mesh.texels import fill_gutter, with_filled_gutters
 from flx.pipeline.bake import (
@@ -33,7 +34,6 @@ from flx.pipeline.bake import (
 )
 from flx.pipeline.codec import load_codec
 from flx.pipeline.perceptual import HINT, Judge, installed_judges
-from flx.pipeline.runs import write_atomically
 
 
 def reconstruct(
