@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float64, Int
 
 from flx.mesh.features import CURVE, features, long_curves
 from flx.mesh.topology import edge_lengths, mark, topology
-from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
+from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit, vertex_normals
 from flx.types import Triangulation
 
 GAP = 0.42  # of an edge: the widest that a mesh may leave to the surface
@@ -92,7 +92,7 @@ class Surface:
 def _probes(vertices, faces, topo, length):
     """Points that a mesh may miss, and their normals: the vertices, and others on long edges that bend."""
     normals = area_normals(vertices, faces)
-    outward = unit(sum_at(faces, normals, len(vertices)))
+    outward = vertex_normals(faces, normals, len(vertices))
     normals = unit(normals)
     left, right = (np.take(normals, topo.corners[:, side] // 3, 0) for side in range(2))
     pieces = np.ceil(edge_lengths(vertices, topo) / (SPACING * length)).astype(np.int64)

@@ -41,3 +41,8 @@ def sum_at(groups: Int[Any, "N K"], values: Float64[Any, "N C"], count: int) -> 
     """At each of `count` vertices, the sum of the values of the groups it is in."""
     at, width = groups.ravel(), groups.shape[1]
     return np.stack([np.bincount(at, np.repeat(x, width), count) for x in values.T], 1, dtype=float)
+
+
+def vertex_normals(faces: Int[Any, "F 3"], normals: Float64[Any, "F 3"], count: int) -> Float64[Any, "V 3"]:
+    """At each of `count` vertices, the direction of the sum of its faces' normals."""
+    return unit(sum_at(faces, normals, count))
