@@ -24,7 +24,7 @@ from flx.mesh.files import BadFile, read_file, write_atomically
 from flx.mesh.formats import READERS, Contents
 from flx.mesh.gltf import Gltf, Paint, Part
 from flx.mesh.images import check_together, decode_image
-from flx.mesh.repair import Repairs, repair, shape
+from flx.mesh.repair import Repaired, repair
 from flx.types import TexturedMesh
 
 FARTHEST = 1e30  # coordinates whose cubes are still numbers
@@ -236,7 +236,7 @@ def _assemble(
     return Asset(
         path=path,
         mesh=mesh,
-        report=_report(path, contents, parts, mesh, textures, fixed.repairs),
+        report=_report(path, contents, parts, mesh, textures, fixed),
         parts=tuple(parts),
         paints=tuple(paints),
         textures=tuple(textures),
@@ -278,7 +278,7 @@ def _report(
     parts: list[Part],
     mesh: TexturedMesh,
     textures: list[Texture],
-    repairs: Repairs,
+    fixed: Repaired,
 ) -> Report:
     outside = ((mesh.corner_uvs < 0) | (mesh.corner_uvs > 1)).any((1, 2))
     painted = ~np.array([t.flat for t in textures] or [True])[mesh.face_textures]
@@ -291,10 +291,10 @@ def _report(
         vertices_read=sum(len(part.positions) for part in parts),
         faces_read=sum(len(part.faces) for part in parts),
         polygons=contents.polygons,
-        **repairs._asdict(),
+        **fixed.repairs._asdict(),
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
-        **shape(mesh.vertices, mesh.faces)._asdict(),
+        **fixed.shape._asdict(),
         flat_uv_faces=int((painted & (np.abs(uv_areas(mesh)) <= 1e-14)).sum()),
         outside_uv_faces=int((painted & outside).sum()),
         color_source="texture" if textures else "vertex colours",
