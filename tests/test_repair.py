@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
 from shapes import icosphere, random_sphere
 
-from flx.mesh.repair import repair, shape
+from flx.mesh.repair import WELD_TOLERANCE, repair, shape, weld
 from flx.mesh.rows import distinct_rows
 
 
@@ -48,6 +49,20 @@ def test_weld_joins_what_a_soup_of_triangles_took_apart(count, seed):
     assert (found.components, found.boundary_edges, found.boundary_loops, found.euler) == (1, 0, 0, 2)
     assert corners_agree(split_points, split_faces, fixed)
     assert_manifold(fixed.vertices, fixed.faces)
+
+
+@settings(max_examples=100)
+@given(st.integers(1, 60), st.integers(1, 3), st.integers(0, 10**6))
+def test_weld_joins_chains_of_points_within_the_tolerance_to_their_first(count, side, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.integers(0, side, (count, 3)) + 0.0
+    spread = WELD_TOLERANCE * np.linalg.norm(np.ptp(points, axis=0))
+    points += rng.choice([0, 0.45, 0.9, 1.5, 4], (count, 3)) * spread
+    tolerance = WELD_TOLERANCE * np.linalg.norm(np.ptp(points, axis=0))
+    near = np.linalg.norm(points[:, None] - points, axis=2) <= tolerance
+    groups = connected_components(near, directed=False)[1]
+    first = np.array([np.flatnonzero(groups == group)[0] for group in groups])
+    np.testing.assert_array_equal(weld(points), first)
 
 
 def test_points_further_apart_than_the_tolerance_stay_apart():

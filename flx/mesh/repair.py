@@ -62,11 +62,18 @@ def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
 
     Raises ValueError where that is nearly everywhere, since one point is so far off.
     """
-    first, which = distinct_rows(points)
-    unique = points[first]
-    tolerance = WELD_TOLERANCE * np.linalg.norm(np.ptp(unique, axis=0))
+    tolerance = WELD_TOLERANCE * np.linalg.norm(np.ptp(points, axis=0))
+    representative = np.arange(len(points))
+    near = _neighbored(points, 2 * tolerance)  # twice: for certain
+    if not len(near):
+        return representative
+    first, which = distinct_rows(points[near])
+    unique = points[near[first]]
     tree = KDTree(unique)
-    if tree.count_neighbors(tree, tolerance) > MOST_NEAR[0] * len(unique) + MOST_NEAR[1]:
+    alone = len(points) - len(near)
+    most = MOST_NEAR[0] * (alone + len(unique)) + MOST_NEAR[1]
+    if alone + tree.count_neighbors(tree, tolerance) > most:
+        unique = points[distinct_rows(points)[0]]
         stray = unique[np.abs(unique - np.median(unique, axis=0)).max(1).argmax()]
         raise ValueError(
             f"a vertex at {stray.tolist()} is so far off that the others are one point; remove it"
@@ -74,8 +81,27 @@ def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     _, group = connected_components(_graph(pairs, len(unique)), directed=False)
     lowest = np.full(len(unique), len(points))
-    np.minimum.at(lowest, group, first)
-    return lowest[group][which]
+    np.minimum.at(lowest, group, near[first])
+    representative[near] = lowest[group][which]
+    return representative
+
+
+def _neighbored(points: Float64[Any, "V 3"], reach: float) -> Int[Any, "N"]:
+    """Points that may have another one within `reach`: along each axis in turn, others leave a wider gap.
+
+    Sorting is several times faster than a tree of all points.
+    """
+    near, run = np.arange(len(points)), np.zeros(len(points), np.int64)
+    for axis in range(points.shape[1]):
+        x = points[near, axis]
+        order = np.lexsort((x, run))
+        x, run = x[order], run[order]
+        starts = np.flatnonzero(np.concatenate([[True], (run[1:] != run[:-1]) | (np.diff(x) > reach)]))
+        sizes = np.diff(starts, append=len(x))
+        run = np.repeat(np.arange(len(sizes)), sizes)
+        shared = sizes[run] > 1
+        near, run = near[order[shared]], run[shared]
+    return np.sort(near)
 
 
 def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:

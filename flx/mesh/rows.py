@@ -14,15 +14,33 @@ def distinct_rows(rows: Num[Any, "N K"]) -> tuple[Int[Any, "R"], Int[Any, "N"]]:
 
     −0.0 equals 0.0; NaN equals nothing.
     """
-    order = np.lexsort(rows.T[::-1])  # stable: the first of equal rows stays first
+    key = _packed(rows)
+    if key is None:
+        order = np.lexsort(rows.T[::-1])  # stable: the first of equal rows stays first
+        columns = [column[order] for column in rows.T]
+    else:
+        ranked, order = sort_keys(key)
+        columns = [ranked]
     fresh = np.ones(len(rows), bool)
-    fresh[1:] = False
-    for column in rows.T:
-        ranked = column[order]
-        fresh[1:] |= ranked[1:] != ranked[:-1]
+    fresh[1:] = np.logical_or.reduce([ranked[1:] != ranked[:-1] for ranked in columns])
     which = np.empty(len(rows), np.int64)
     which[order] = np.cumsum(fresh) - 1
     return order[fresh], which
+
+
+def _packed(rows):
+    """The rows as one number each, in the same order; None where 63 bits are too few."""
+    if rows.dtype.kind != "i" or not len(rows):
+        return None
+    key, room = np.zeros(len(rows), np.int64), 1
+    for column in rows.T:
+        least, size = int(column.min()), int(column.max()) - int(column.min()) + 1
+        room *= size
+        if room >> 63:
+            return None
+        key *= size
+        key += column - least
+    return key
 
 
 def sort_keys(keys: Int[Any, "N"]) -> tuple[Int[Any, "N"], Int[Any, "N"]]:
