@@ -223,11 +223,12 @@ def _assemble(
             for p in parts
         ]
     )
+    texture_of_material = np.array([texture_of.get(m, 0) for m in range(len(contents.materials))])
     mesh = TexturedMesh(
         vertices=fixed.vertices,
         faces=fixed.faces,
         corner_uvs=uvs[corners] if images else np.zeros((len(corners), 3, 2)),
-        face_textures=np.array([texture_of.get(int(m), 0) for m in materials[fixed.sources]]),
+        face_textures=texture_of_material[materials[fixed.sources]],
         textures=tuple(images),
         corner_colors=np.zeros((len(corners), 3, 3), np.float32) if images else colors[corners],
     )

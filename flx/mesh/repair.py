@@ -62,7 +62,7 @@ def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
 
     Raises ValueError where that is nearly everywhere, since one point is so far off.
     """
-    tolerance = WELD_TOLERANCE * np.linalg.norm(np.ptp(points, axis=0))
+    tolerance = WELD_TOLERANCE * float(np.linalg.norm(np.ptp(points, axis=0)))
     representative = np.arange(len(points))
     near = _neighbored(points, 2 * tolerance)  # twice: for certain
     if not len(near):

@@ -14,18 +14,22 @@ def distinct_rows(rows: Num[Any, "N K"]) -> tuple[Int[Any, "R"], Int[Any, "N"]]:
 
     −0.0 equals 0.0; NaN equals nothing.
     """
-    key = _packed(rows)
-    if key is None:
-        order = np.lexsort(rows.T[::-1])  # stable: the first of equal rows stays first
-        columns = [column[order] for column in rows.T]
-    else:
-        ranked, order = sort_keys(key)
-        columns = [ranked]
+    columns, order = _sorted(rows)
     fresh = np.ones(len(rows), bool)
-    fresh[1:] = np.logical_or.reduce([ranked[1:] != ranked[:-1] for ranked in columns])
+    fresh[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
     which = np.empty(len(rows), np.int64)
     which[order] = np.cumsum(fresh) - 1
     return order[fresh], which
+
+
+def _sorted(rows):
+    """Columns by which rows are told apart, sorted, and where each row was, the first of equal ones first."""
+    key = _packed(rows)
+    if key is None:
+        order = np.lexsort(rows.T[::-1])
+        return [column[order] for column in rows.T], order
+    ranked, order = sort_keys(key)
+    return [ranked], order
 
 
 def _packed(rows):
