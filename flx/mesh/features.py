@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from flx.mesh.topology import Topology
-from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
+from flx.mesh.vectors import area_normals, chunks, dot, length_of, sum_at, unit
 
 CREASE = np.cos(np.radians(60.0))  # faces that bend more than 60° meet in a crease
 CURVE = 4  # edges in the shortest crease
@@ -20,14 +20,21 @@ def features(
     """Which edges are features, and how free each vertex is: 0 on a face, 1 on a curve, 2 at a corner."""
     feature = topo.boundary.copy()
     normals = unit(area_normals(vertices, faces))
-    inner = np.flatnonzero(~feature)
-    left, right = (np.take(normals, topo.corners[inner, side] // 3, 0) for side in range(2))
-    sharp = inner[dot(left, right) < CREASE]
+    sharp = np.flatnonzero(~feature & (bends(normals, topo) < CREASE))
     feature[long_curves(topo.edges[sharp], np.ones(len(sharp)), len(vertices), least, sharp)] = True
     degree = np.bincount(topo.edges[feature].ravel(), minlength=len(vertices))
     kind = np.where(degree < 2, 0, np.where(degree == 2, 1, 2))
     kind[_turns(vertices, topo.edges[topo.boundary])] = 2
     return feature, kind
+
+
+def bends(normals: Float64[Any, "F 3"], topo: Topology) -> Float64[Any, "E"]:
+    """The cosine of the angle between the two faces at each edge, of unit `normals`; no use at boundaries."""
+    cosines = np.empty(len(topo.edges))
+    for rows in chunks(len(cosines)):
+        left, right = topo.corners[rows].T // 3
+        cosines[rows] = dot(np.take(normals, left, 0), np.take(normals, right, 0))
+    return cosines
 
 
 def _turns(vertices, rim):

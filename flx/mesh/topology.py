@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from flx.mesh.rows import sort_keys
-from flx.mesh.vectors import length_of
+from flx.mesh.vectors import chunks, length_of
 
 
 class Edges(NamedTuple):
@@ -118,8 +118,11 @@ def _beside(corners):
 
 
 def edge_lengths(vertices: Float64[Any, "V 3"], topo: Topology) -> Float64[Any, "E"]:
-    a, b = topo.edges.T
-    return length_of(np.take(vertices, a, 0) - np.take(vertices, b, 0))
+    lengths = np.empty(len(topo.edges))
+    for rows in chunks(len(lengths)):
+        a, b = topo.edges[rows].T
+        lengths[rows] = length_of(np.take(vertices, a, 0) - np.take(vertices, b, 0))
+    return lengths
 
 
 def has_edge(topo: Topology, count: int, a: Int[Any, "N"], b: Int[Any, "N"]) -> Bool[Any, "N"]:
