@@ -37,48 +37,11 @@ class Lines(NamedTuple):
     places: Int[Any, "N"]
 
 
-class Statements(NamedTuple):
-    """The numbers of an OBJ file: far smaller than its words, which need not stay."""
-
-    points: Float64[Any, "_ _"]
-    uvs: Float64[Any, "_ _"]
-    normals: Float64[Any, "_ _"]
-    corners: Int[Any, "C 3"]  # v, vt and vn from 0, face by face
-    sizes: Int[Any, "N"]  # corners of each face
-    materials: Int[Any, "N"]  # of each face: an index into `names`
-    names: list[str]
-    libraries: list[str]
-
-
 def parse_obj(text: str, name: str) -> Obj:
     """An OBJ file; parts of no material are called `name`.
 
     Raises BadFile for what is no number, faces of fewer than three corners and indices out of range.
     """
-    file = _statements(text)
-    triangles, owners = fans(file.sizes)
-    parts, of_triangle = [], file.materials[owners]
-    order = np.argsort(of_triangle, kind="stable")
-    used, starts = np.unique(of_triangle[order], return_index=True)
-    groups = np.split(order, starts)[1:]
-    for material, members in zip(used.tolist(), groups, strict=True):
-        rows, part_faces = unmerge(file.corners[triangles[members]].reshape(-1, 3))
-        v, vt, vn = rows.T
-        parts.append(
-            Part(
-                name=[*file.names, name][material],
-                material=material,
-                positions=file.points[v, :3],
-                normals=None if (vn == OMITTED).any() else file.normals[vn, :3],
-                uvs=None if (vt == OMITTED).any() else file.uvs[vt, :2] * [1, -1] + [0, 1],
-                colors=colors_of(file.points[v, 3:6]) if file.points.shape[1] >= 6 else None,
-                faces=part_faces,
-            )
-        )
-    return Obj(parts, file.names, file.libraries, int((file.sizes > 3).sum()))
-
-
-def _statements(text: str) -> Statements:
     lines = _split(text)
     faces, uses = lines["f"], lines["usemtl"]
     check_faces(len(faces.rows))
@@ -89,13 +52,34 @@ def _statements(text: str) -> Statements:
         raise BadFile(f"the face on line {line} has {sizes.min()} corners; export it again")
     check_faces(int((sizes - 2).sum()))
     corners = _resolve(_corners(faces.rows), np.repeat(faces.places, sizes), lines)
+    triangles, owners = fans(sizes)
+
     numbered: dict[str, int] = {}
     of_use = [numbered.setdefault(row.strip(), len(numbered)) for row in uses.rows]
     if len(numbered) > MOST_MATERIALS:
         raise BadFile(f"{len(numbered):,} materials, more than {MOST_MATERIALS:,}; join some")
-    materials = np.array([len(numbered), *of_use])[np.searchsorted(uses.places, faces.places)]
-    libraries = [row.strip() for row in lines["mtllib"].rows]
-    return Statements(points, uvs, normals, corners, sizes, materials, list(numbered), libraries)
+    of_face = np.array([len(numbered), *of_use])[np.searchsorted(uses.places, faces.places)]
+    del lines["v"], lines["vt"], lines["vn"], lines["f"], faces  # words take more memory than numbers
+    names, parts = list(numbered), []
+    of_triangle = of_face[owners]
+    order = np.argsort(of_triangle, kind="stable")
+    used, starts = np.unique(of_triangle[order], return_index=True)
+    groups = np.split(order, starts)[1:]
+    for material, members in zip(used.tolist(), groups, strict=True):
+        rows, part_faces = unmerge(corners[triangles[members]].reshape(-1, 3))
+        v, vt, vn = rows.T
+        parts.append(
+            Part(
+                name=[*names, name][material],
+                material=material,
+                positions=points[v, :3],
+                normals=None if (vn == OMITTED).any() else normals[vn, :3],
+                uvs=None if (vt == OMITTED).any() else uvs[vt, :2] * [1, -1] + [0, 1],
+                colors=colors_of(points[v, 3:6]) if points.shape[1] >= 6 else None,
+                faces=part_faces,
+            )
+        )
+    return Obj(parts, names, [row.strip() for row in lines["mtllib"].rows], int((sizes > 3).sum()))
 
 
 KINDS = (("v", 3), ("vt", 2), ("vn", 3))  # with the fewest numbers of a row
