@@ -4,10 +4,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from flx.mesh.topology import Topology
+from flx.mesh.topology import Topology, pieces
 from flx.mesh.vectors import area_normals, chunks, dot, length_of, sum_at, unit
 
 CREASE = np.cos(np.radians(60.0))  # faces that bend more than 60° meet in a crease
@@ -51,6 +49,5 @@ def long_curves(
     edges: Int[Any, "N 2"], lengths: Float64[Any, "N"], count: int, least: float | int, ids: Int[Any, "N"]
 ) -> Int[Any, "n"]:
     """The `ids` of edges in connected curves at least `least` long: sharp specks of a scan are no creases."""
-    graph = coo_array((np.ones(len(edges), bool), tuple(edges.T)), (count, count))
-    curve = connected_components(graph, directed=False)[1][edges[:, 0]]
+    curve = pieces(edges, count)[1][edges[:, 0]]
     return ids[np.bincount(curve, lengths)[curve] >= least] if len(ids) else ids

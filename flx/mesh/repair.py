@@ -12,12 +12,10 @@ from typing import Any, NamedTuple
 import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from flx.mesh.rows import distinct_rows
-from flx.mesh.topology import Edges, boundary_loops, components, disagreeing, edges_of, fans, mark
+from flx.mesh.topology import Edges, boundary_loops, disagreeing, edges_of, fans, mark, pieces
 
 WELD_TOLERANCE = 1e-9  # of the diagonal: round-off of a float64 transform, far below a float32 step
 MOST_NEAR = (16, 1 << 22)  # for each point, and in all: ordered pairs of points to be welded
@@ -79,7 +77,7 @@ def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
             f"a vertex at {stray.tolist()} is so far off that the others are one point; remove it"
         )
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
-    _, group = connected_components(_graph(pairs, len(unique)), directed=False)
+    _, group = pieces(pairs, len(unique))
     lowest = np.full(len(unique), len(points))
     np.minimum.at(lowest, group, near[first])
     representative[near] = lowest[group][which]
@@ -162,7 +160,7 @@ def _shape(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], edges: Edges) 
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.maximum(((b - a) ** 2).sum(1), np.maximum(((c - a) ** 2).sum(1), ((c - b) ** 2).sum(1)))
     return Shape(
-        components=components(ends, len(vertices)),
+        components=pieces(ends, len(vertices))[0],
         boundary_edges=len(rim),
         boundary_loops=boundary_loops(rim, len(vertices)),
         euler=len(vertices) - len(ends) + len(faces),
@@ -198,7 +196,3 @@ def _doubled_ears(faces: Int[Any, "F 3"], same: Int[Any, "F"]) -> Bool[Any, "F"]
     others = np.bincount(edge[~pair].reshape(-1), minlength=size)[edge]
     hanging = (others == 2).any(1) & ((others == 0) | (others == 2)).all(1)
     return pair & hanging & (paired == 2).all(1)
-
-
-def _graph(edges: Int[Any, "E 2"], size: int) -> coo_array:
-    return coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(size, size))

@@ -157,17 +157,17 @@ def invariants(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> str:
         )
     rim = topo.edges[topo.boundary]
     return (
-        f"{components(topo.edges, count)} components, Euler characteristic "
+        f"{pieces(topo.edges, count)[0]} components, Euler characteristic "
         f"{count - len(topo.edges) + len(faces)}, {boundary_loops(rim, count)} boundary loops"
     )
 
 
-def components(edges: Int[Any, "E 2"], count: int) -> int:
-    """How many pieces edges leave of so many vertices."""
+def pieces(edges: Int[Any, "E 2"], count: int) -> tuple[int, Int[Any, "V"]]:
+    """How many pieces edges leave of so many vertices, and the piece of each."""
     graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (count, count))
-    return int(connected_components(graph, directed=False)[0])
+    return connected_components(graph, directed=False)
 
 
 def boundary_loops(rim: Int[Any, "N 2"], count: int) -> int:
     """How many loops boundary edges make. Each of `count` vertices that has none is a piece of its own."""
-    return components(rim, count) - (count - int(mark(count, rim).sum()))
+    return pieces(rim, count)[0] - (count - int(mark(count, rim).sum()))
