@@ -11,7 +11,6 @@ import argparse
 import json
 import os
 import re
-import resource
 import subprocess
 import sys
 import time
@@ -35,6 +34,7 @@ from flx.mesh.assets import read_asset
 from flx.mesh.doctor import examine
 from flx.mesh.repair import shape
 from flx.mesh.tables import mesh_tables
+from flx.mesh.timings import peak_bytes
 from flx.mesh.triangulations import coincidence, remesh
 from flx.types import Triangulation
 
@@ -172,7 +172,7 @@ def measure(source: Source, vertices: int, out: Path) -> Row:
     copy = remesh(*mesh, vertices, seed=0)
     remeshed = time.process_time()
     mesh_tables(copy)
-    tabled, peak = time.process_time(), _peak()
+    tabled, peak = time.process_time(), peak_bytes() / 2**20
 
     found, kept = shape(*mesh), shape(*copy)
     exact = len(copy.vertices) == vertices and all(
@@ -199,12 +199,8 @@ def measure(source: Source, vertices: int, out: Path) -> Row:
         table_seconds=tabled - remeshed,
         megabytes=peak,
         psnr=fidelity["psnr"],
-        reconstruct_megabytes=_peak(),
+        reconstruct_megabytes=peak_bytes() / 2**20,
     )
-
-
-def _peak() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def row_of(name: str, vertices: int | None) -> Row:

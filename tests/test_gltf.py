@@ -13,7 +13,8 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from flx.mesh.assets import read_asset, write_glb, write_glb_colors
-from flx.mesh.glb import glb_bytes, replace_base_color, write_file
+from flx.mesh.files import write_atomically
+from flx.mesh.glb import glb_bytes, replace_base_color
 from flx.mesh.gltf import Gltf, accessor, image_bytes, linear, parts, read_gltf, srgb
 
 
@@ -84,7 +85,7 @@ def container(occlusion_shares: bool = False) -> Gltf:
 
 
 def save(gltf: Gltf, path):
-    write_file(glb_bytes(gltf), path)
+    write_atomically(path, glb_bytes(gltf))
     return path
 
 
@@ -335,12 +336,3 @@ def test_a_spoilt_file_is_one_line_that_names_it(tmp_path, spoil, match):
     with pytest.raises(ValueError, match=match) as caught:
         read_asset(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
-    path = tmp_path / "a.glb"
-    path.write_bytes(b"old")
-    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("full")))
-    with pytest.raises(OSError, match="full"):
-        write_file(b"new", path)
-    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.config import FLDM, FLVAE, FLDMExperiment, FLVAEExperiment, Surface, Train
-from flx.pipeline.runs import load_config, load_fingerprint, only_trainer, open_run, write_atomically
+from flx.mesh.files import write_atomically
+from flx.pipeline.runs import load_config, load_fingerprint, only_trainer, open_run
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 trains = st.builds(Train, steps=st.integers(1), learning_rate=finite, clip=finite)
@@ -163,6 +164,15 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     assert path.read_bytes() == b"first" and len(list(path.parent.iterdir())) == 1
     write_atomically(path, lambda torn: torn.write_bytes(b"second"))
     assert path.read_bytes() == b"second" and len(list(path.parent.iterdir())) == 1
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "a.glb"
+    path.write_bytes(b"old")
+    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("full")))
+    with pytest.raises(OSError, match="full"):
+        write_atomically(path, b"new")
+    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
 
 
 def test_a_second_trainer_is_refused_and_a_killed_one_is_not_in_the_way(tmp_path):

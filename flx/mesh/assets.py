@@ -20,11 +20,11 @@ from jaxtyping import Float32, Float64, Int, UInt8
 from PIL import Image
 
 from flx.mesh import glb
-from flx.mesh.files import BadFile, read_file
+from flx.mesh.files import BadFile, read_file, write_atomically
 from flx.mesh.formats import READERS, Contents
 from flx.mesh.gltf import Gltf, Paint, Part
 from flx.mesh.images import check_together, decode_image
-from flx.mesh.repair import Repairs, repair, shape
+from flx.mesh.repair import Repaired, repair
 from flx.types import TexturedMesh
 
 FARTHEST = 1e30  # coordinates whose cubes are still numbers
@@ -223,11 +223,12 @@ def _assemble(
             for p in parts
         ]
     )
+    texture_of_material = np.array([texture_of.get(m, 0) for m in range(len(contents.materials))])
     mesh = TexturedMesh(
         vertices=fixed.vertices,
         faces=fixed.faces,
         corner_uvs=uvs[corners] if images else np.zeros((len(corners), 3, 2)),
-        face_textures=np.array([texture_of.get(int(m), 0) for m in materials[fixed.sources]]),
+        face_textures=texture_of_material[materials[fixed.sources]],
         textures=tuple(images),
         corner_colors=np.zeros((len(corners), 3, 3), np.float32) if images else colors[corners],
     )
@@ -236,7 +237,7 @@ def _assemble(
     return Asset(
         path=path,
         mesh=mesh,
-        report=_report(path, contents, parts, mesh, textures, fixed.repairs),
+        report=_report(path, contents, parts, mesh, textures, fixed),
         parts=tuple(parts),
         paints=tuple(paints),
         textures=tuple(textures),
@@ -278,7 +279,7 @@ def _report(
     parts: list[Part],
     mesh: TexturedMesh,
     textures: list[Texture],
-    repairs: Repairs,
+    fixed: Repaired,
 ) -> Report:
     outside = ((mesh.corner_uvs < 0) | (mesh.corner_uvs > 1)).any((1, 2))
     painted = ~np.array([t.flat for t in textures] or [True])[mesh.face_textures]
@@ -291,10 +292,10 @@ def _report(
         vertices_read=sum(len(part.positions) for part in parts),
         faces_read=sum(len(part.faces) for part in parts),
         polygons=contents.polygons,
-        **repairs._asdict(),
+        **fixed.repairs._asdict(),
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
-        **shape(mesh.vertices, mesh.faces)._asdict(),
+        **fixed.shape._asdict(),
         flat_uv_faces=int((painted & (np.abs(uv_areas(mesh)) <= 1e-14)).sum()),
         outside_uv_faces=int((painted & outside).sum()),
         color_source="texture" if textures else "vertex colours",
@@ -323,7 +324,7 @@ def write_glb(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
     else:
         shown = {i: paint.texture for i, paint in enumerate(asset.paints) if paint.texture in pngs}
         file = glb.replace_base_color(asset.container, shown, pngs)
-    glb.write_file(glb.glb_bytes(file), Path(path))
+    write_atomically(Path(path), glb.glb_bytes(file))
 
 
 def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
@@ -342,7 +343,7 @@ def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
     else:
         origins = [part.origin for part in asset.parts]
         file = glb.replace_colors(asset.container, dict(zip(origins, each, strict=True)))
-    glb.write_file(glb.glb_bytes(file), Path(path))
+    write_atomically(Path(path), glb.glb_bytes(file))
 
 
 def encode_png(image: UInt8[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:

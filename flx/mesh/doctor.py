@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from flx.config import FLDMExperiment
 from flx.mesh.assets import Asset, Report, uv_areas
 from flx.mesh.raster import barycentric_planes, pixels_inside
+from flx.mesh.topology import edges_of, pieces
 
 RASTER = 1024  # pixels on the longer side on which texels are counted
 MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, its repetitions counted
@@ -115,12 +114,11 @@ def _inside_out(asset: Asset) -> int:
 
 def _components(faces: Int[Any, "F 3"], count: int) -> tuple[Int[Any, "V"], Bool[Any, "N"]]:
     """The component of each vertex, and which components have no boundary."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1)
-    graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    number, component = connected_components(graph, directed=False)
-    single, uses = np.unique(edges @ [count, 1], return_counts=True)  # 10 times faster than by rows
+    edges = edges_of(faces, count)
+    ends = edges.ends
+    number, component = pieces(ends, count)
     closed = np.ones(number, bool)
-    closed[component[single[uses == 1] // count]] = False
+    closed[component[ends[edges.uses == 1, 0]]] = False
     return component, closed
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, Num, UInt8
 
 from flx.mesh.assets import Asset, encode_png
-from flx.mesh.glb import write_file
+from flx.mesh.files import write_atomically
 from flx.mesh.texels import quantized
 
 BLOCK = 1 << 14  # rows written at a time
@@ -32,19 +32,19 @@ def write_obj(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
     for index, (image, texture) in enumerate(zip(images, asset.textures, strict=True)):
         if not texture.flat:
             files[index] = f"{path.stem}_{index}.png" if len(images) > 1 else f"{path.stem}.png"
-            write_file(encode_png(image, texture.alpha), path.with_name(files[index]))
+            write_atomically(path.with_name(files[index]), encode_png(image, texture.alpha))
     library = []
     for name, paint in zip(_material_names(asset), asset.paints, strict=True):
         color = (1.0, 1.0, 1.0) if paint.texture in files else paint.color
         library += [f"newmtl {name}", "Kd {} {} {}".format(*map(float, color))]
         library += [f"map_Kd {files[paint.texture]}"] if paint.texture in files else []
-    write_file(("\n".join(library) + "\n").encode(), path.with_suffix(".mtl"))
-    write_file("\n".join(_obj_lines(asset, path.with_suffix(".mtl").name)).encode(), path)
+    write_atomically(path.with_suffix(".mtl"), ("\n".join(library) + "\n").encode())
+    write_atomically(path, "\n".join(_obj_lines(asset, path.with_suffix(".mtl").name)).encode())
 
 
 def write_obj_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
     """One OBJ with an sRGB colour after each position, as most readers take it."""
-    write_file("\n".join(_obj_lines(asset, None, colors)).encode(), Path(path))
+    write_atomically(Path(path), "\n".join(_obj_lines(asset, None, colors)).encode())
 
 
 def write_ply_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
@@ -69,7 +69,7 @@ def write_ply_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
     header = ["ply", "format binary_little_endian 1.0", "comment flx", f"element vertex {len(points)}"]
     header += [f"property {words[dtype]} {name}" for name, dtype, _ in columns]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    write_file("\n".join(header).encode() + vertices.tobytes() + faces.tobytes(), Path(path))
+    write_atomically(Path(path), "\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
 
 
 def _obj_lines(asset: Asset, library: str | None, colors: Float32[Any, "V 3"] | None = None) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Where `flx.mesh` opens files: regular ones of bounded size, and those that a mesh names in its folder only.
+"""Where files are opened, regular ones of bounded size, and written, each whole or not at all.
 
 A mesh file is a stranger's. It must not read its user's other files, reach the network, block on a pipe or
 take more memory than its own size explains. The limits are generous; each can be raised by an environment
@@ -7,6 +7,7 @@ variable, which the error names.
 
 import os
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,25 @@ def read_file(path: Path) -> bytes:
         )
     with open(path, "rb") as file:
         return file.read(size)
+
+
+def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None:
+    """Write a file that is there whole or not at all, even through a kill or a power cut.
+
+    `content` is the bytes, or a function that writes the file at the path it is given (of the same suffix).
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torn = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        if isinstance(content, bytes):
+            torn.write_bytes(content)
+        else:
+            content(torn)
+        with open(torn, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(torn, path)
+    finally:
+        torn.unlink(missing_ok=True)
 
 
 def check_faces(count: int) -> None:

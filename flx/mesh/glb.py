@@ -1,14 +1,12 @@
 """GLB files written: a glTF that was read, with its base colour replaced; or a new one from triangles.
 
 A file that was read is patched, never rebuilt: accessors, other maps, names, extras and transforms keep their
-index and their bytes. Every file is self-contained, and written whole or not at all.
+index and their bytes. Every file is self-contained.
 """
 
 import json
-import os
 import struct
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -210,16 +208,3 @@ def glb_bytes(gltf: Gltf) -> bytes:
         struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-
-def write_file(content: bytes, path: Path) -> None:
-    """All of the file or none of it, even through a power cut: written beside its place, then renamed."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(beside, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)

@@ -59,6 +59,7 @@ def parse_obj(text: str, name: str) -> Obj:
     if len(numbered) > MOST_MATERIALS:
         raise BadFile(f"{len(numbered):,} materials, more than {MOST_MATERIALS:,}; join some")
     of_face = np.array([len(numbered), *of_use])[np.searchsorted(uses.places, faces.places)]
+    del lines["v"], lines["vt"], lines["vn"], lines["f"], faces  # words take more memory than numbers
     names, parts = list(numbered), []
     of_triangle = of_face[owners]
     order = np.argsort(of_triangle, kind="stable")

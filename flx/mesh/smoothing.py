@@ -6,9 +6,9 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.mesh.features import CURVE, features, long_curves
+from flx.mesh.features import CURVE, bends, features, long_curves
 from flx.mesh.topology import edge_lengths, mark, topology
-from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
+from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit, vertex_normals
 from flx.types import Triangulation
 
 GAP = 0.42  # of an edge: the widest that a mesh may leave to the surface
@@ -105,11 +105,10 @@ class Surface:
 def _probes(vertices, faces, topo, length):
     """Points that a mesh may miss, and their normals: the vertices, and others on long edges that bend."""
     normals = area_normals(vertices, faces)
-    outward = unit(sum_at(faces, normals, len(vertices)))
+    outward = vertex_normals(faces, normals, len(vertices))
     normals = unit(normals)
-    left, right = (np.take(normals, topo.corners[:, side] // 3, 0) for side in range(2))
     pieces = np.ceil(edge_lengths(vertices, topo) / (SPACING * length)).astype(np.int64)
-    bent = np.flatnonzero((pieces > 1) & ~topo.boundary & (dot(left, right) < BENT))
+    bent = np.flatnonzero((pieces > 1) & ~topo.boundary & (bends(normals, topo) < BENT))
     inner = pieces[bent] - 1
     edge = np.repeat(np.arange(len(bent)), inner)
     place = 1 + np.arange(len(edge)) - (np.cumsum(inner) - inner)[edge]

@@ -17,6 +17,7 @@ from jaxtyping import Complex128, Float64, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from flx.mesh.files import write_atomically
 from flx.mesh.tangent import TangentFrames, mean_vertex_radius, tangent_frames, transports, vertex_masses
 from flx.types import MeshTables, OneRings, Pooling, Triangulation
 
@@ -110,19 +111,17 @@ def stack(tables: Sequence[MeshTables]) -> MeshTables:
 
 def save_tables(path: str | os.PathLike, tables: MeshTables) -> None:
     """Write an npz whole or not at all: a reader never meets half a file."""
-    path = Path(path)
     arrays = {
         f"{level}.{name}": array
         for level, parts in tables._asdict().items()
         for name, array in parts._asdict().items()
     }
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with open(temporary, "wb") as file:
+
+    def write(torn: Path) -> None:
+        with open(torn, "wb") as file:  # to a path without .npz, NumPy would add it
             np.savez(file, **arrays)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+
+    write_atomically(Path(path), write)
 
 
 def load_tables(path: str | os.PathLike) -> MeshTables:

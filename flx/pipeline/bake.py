@@ -13,12 +13,12 @@ from PIL import Image
 from flx.mesh.assets import Asset, write_glb, write_glb_colors
 from flx.mesh.copies import queries_at, transfer
 from flx.mesh.exports import write_obj, write_obj_colors, write_ply_colors
+from flx.mesh.files import write_atomically
 from flx.mesh.render import contact_sheet, look, show
 from flx.mesh.tangent import tangent_frames
 from flx.mesh.texels import Atlas, atlas_texels, fill_gutter, quantized
 from flx.mesh.unwrap import INSTALL, is_unwrappable, unwrapped
 from flx.pipeline.codec import Codec
-from flx.pipeline.runs import write_atomically
 from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
 
 Format = Literal["glb", "obj", "ply"]

@@ -2,7 +2,6 @@
 
 import os
 import platform
-import resource
 import statistics
 import tempfile
 import time
@@ -21,7 +20,7 @@ from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.fields.convolution import Filter
 from flx.mesh.assets import read_asset
 from flx.mesh.tables import mesh_tables
-from flx.mesh.timings import geometry_rows
+from flx.mesh.timings import geometry_rows, peak_bytes
 from flx.mesh.vase import write_vase
 from flx.models.denoiser import Blocks, Denoiser
 from flx.models.vae import FieldLatentVAE
@@ -73,7 +72,7 @@ def codec_rows(repeats: int = 3) -> list[dict[str, Any]]:
                 "name": f"{name}/{count}",
                 "seconds": seconds,
                 "per_second": round(count / seconds),
-                "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10,
+                "peak_bytes": peak_bytes(),
             }
         )
     return [*rows, *_transformer(FLVAE(), repeats)]

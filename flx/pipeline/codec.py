@@ -17,8 +17,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from flx.config import FLVAE
+from flx.mesh.files import write_atomically
 from flx.models.vae import FieldLatentVAE
-from flx.pipeline.runs import write_atomically
 from flx.types import Queries, RingSamples
 
 WEIGHTS = Path(__file__).parent.parent / "weights"

@@ -1,7 +1,6 @@
 """How near a texture comes to another: metrics in the atlas, over the texels that show the surface."""
 
 import json
-import resource
 import sys
 import time
 from collections.abc import Sequence
@@ -15,8 +14,10 @@ from skimage.metrics import structural_similarity
 from flx.config import Surface
 from flx.mesh.assets import read_asset
 from flx.mesh.copies import make_copy
+from flx.mesh.files import write_atomically
 from flx.mesh.seams import seam_ratio
 from flx.mesh.texels import fill_gutter, with_filled_gutters
+from flx.mesh.timings import peak_bytes
 from flx.pipeline.bake import (
     Baked,
     Canvas,
@@ -33,7 +34,6 @@ from flx.pipeline.bake import (
 )
 from flx.pipeline.codec import load_codec
 from flx.pipeline.perceptual import HINT, Judge, installed_judges
-from flx.pipeline.runs import write_atomically
 
 
 def reconstruct(
@@ -70,7 +70,7 @@ def reconstruct(
         "seam_ratio_input": seam_ratio(asset.mesh),
         "texture_sizes": [list(image.shape[:2]) for image in baked.images],
         "seconds": round(seconds, 2),
-        "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+        "peak_bytes": peak_bytes(),
     }
     write_baked(asset, baked, out / f"reconstruction.{format}")
     for index, image in enumerate(baked.images):

@@ -11,13 +11,14 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from flx.config import Experiment, FLDMExperiment, FLVAEExperiment
+from flx.mesh.files import write_atomically
 
 STEERING = ("train.steps", "train.log_every", "train.checkpoint_every")  # may change between calls
 _KINDS = {kind.__name__: kind for kind in (FLVAEExperiment, FLDMExperiment)}
@@ -97,25 +98,6 @@ def load_config(folder: str | Path) -> Experiment:
 def load_fingerprint(folder: str | Path) -> str:
     """The fingerprint of the asset that the run was made from."""
     return _read(Run(Path(folder)).config)["fingerprint"]
-
-
-def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None:
-    """Write a file that is there whole or not at all, even through a kill or a power cut.
-
-    `content` is the bytes, or a function that writes the file at the path it is given (of the same suffix).
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    torn = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        if isinstance(content, bytes):
-            torn.write_bytes(content)
-        else:
-            content(torn)
-        with open(torn, "rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(torn, path)
-    finally:
-        torn.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from flx.config import FLDMExperiment
 from flx.fields import ddpm
 from flx.fields.algebra import tangent_noise
 from flx.mesh.assets import read_asset
+from flx.mesh.files import write_atomically
 from flx.mesh.seams import seam_ratio
 from flx.models.denoiser import denoise, schedule
 from flx.pipeline.bake import (
@@ -29,7 +30,7 @@ from flx.pipeline.bake import (
 from flx.pipeline.codec import load_codec
 from flx.pipeline.learn import asset_file, denoiser, latent_scaling, load_copies
 from flx.pipeline.prepare import open_cache, prepare
-from flx.pipeline.runs import Run, load_config, write_atomically
+from flx.pipeline.runs import Run, load_config
 from flx.pipeline.train import restore
 
 Sampler = Literal["ancestral", "ddim"]

@@ -21,6 +21,7 @@ from tqdm import tqdm
 from flx.config import Compared
 from flx.mesh.assets import Asset, read_asset
 from flx.mesh.copies import sample_rings
+from flx.mesh.files import write_atomically
 from flx.mesh.texels import with_filled_gutters
 from flx.mesh.triangulations import remesh
 from flx.pipeline.bake import chunks, open_canvas, painted, write_png
@@ -38,7 +39,6 @@ from flx.pipeline.evaluate import fidelity
 from flx.pipeline.images import SUFFIXES
 from flx.pipeline.intrinsic import intrinsic_field
 from flx.pipeline.perceptual import HINT, installed_judges
-from flx.pipeline.runs import write_atomically
 
 METHODS = get_args(Compared)
 FITTED = ("pca", "frame_pca")  # to images

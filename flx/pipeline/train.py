@@ -28,8 +28,9 @@ from tensorboardX import SummaryWriter
 from tqdm import tqdm
 
 from flx.config import Train
+from flx.mesh.files import write_atomically
 from flx.pipeline.checkpoint import Checkpoints
-from flx.pipeline.runs import Run, only_trainer, write_atomically
+from flx.pipeline.runs import Run, only_trainer
 
 LossFn = Callable[[Any, Any, Array], tuple[Array, dict[str, Array]]]  # parameters, batch, key → loss, metrics
 Batches = Callable[[int], Any]  # step → arrays, always the same for a step
