@@ -19,13 +19,14 @@ from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
 from flx.types import Triangulation
 
 LAPS, TRIES = 30, 8  # of each place
-SHARP_LAPS = 2  # in which places that are only sharp are looked at, too
+SHARP_LAPS = 2  # in which places that are only sharp are looked at, too, or while there are not few:
+FEW_SHARP = 0.007  # of the faces
 RINGS = 3  # of faces around the places of a lap
 STEP = 0.6  # of an edge: the longest random move, nearly
 ANEW = 0.3  # share of the moves that start amid a vertex's neighbours and end anywhere
 AIMED = 0.5  # share of the moves that go towards a point that the mesh misses, where there is one
 COARSE = 3e-3  # of the diagonal: a mesh that may leave wider gaps closes none but its widest,
-WIDEST = 5e-4  # this share of them: all of a surface finer than the mesh would cost it its angles
+WIDEST = 3e-3  # this share of them: all of a surface finer than the mesh would cost it its angles
 LONGEST = 1.7  # edges, in wanted lengths, that the search makes
 UPRIGHT = 0.1  # the least cosine between a face and its patch
 FAIR = np.cos(np.radians(35.0))  # the sharpest corner that the search makes
@@ -82,7 +83,9 @@ def tighten(mesh: Triangulation, surface: Surface, gap: float, rng: np.random.Ge
     """
     fit = fit_of(mesh, surface, gap)
     for lap in range(LAPS):
-        bad = fit.wide | (fit.shapes.cosines > FAIR) & (lap < SHARP_LAPS)
+        sharp = fit.shapes.cosines > FAIR
+        widen = lap < SHARP_LAPS or sharp.mean() > FEW_SHARP
+        bad = fit.wide | sharp & widen
         if not bad.any():
             break
         for _ in range(RINGS):
@@ -91,7 +94,7 @@ def tighten(mesh: Triangulation, surface: Surface, gap: float, rng: np.random.Ge
         part, inside, asked = fit.cut(rows)
         for attempt in range(TRIES):
             wide = part.wide
-            bad = wide | (part.shapes.cosines > FAIR) & (lap < SHARP_LAPS)
+            bad = wide | (part.shapes.cosines > FAIR) & widen
             if not bad.any():
                 break
             loose = _grown(wide, part.faces, len(part.vertices))

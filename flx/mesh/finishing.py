@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from flx.mesh.closeness import gap_to_close, reach, tighten
+from flx.mesh.closeness import FAIR, FEW_SHARP, gap_to_close, reach, tighten
 from flx.mesh.features import features
 from flx.mesh.operators import flip
 from flx.mesh.smoothing import Surface, smooth
@@ -19,7 +19,7 @@ from flx.mesh.vectors import dot
 from flx.types import Triangulation
 
 SHARP = np.cos(np.radians(38.0))  # corners below 38° are asked to widen
-TRIES = 24  # of each vertex asked
+TRIES, MOST_TRIES = 24, 96  # of each vertex asked; more where many corners stay sharp
 NARROW = np.cos(np.radians(20.0))  # corners sharper than that are needles: features give way to them
 REACHES = 3  # each followed by smoothing, which loses a few points again
 
@@ -47,7 +47,9 @@ def widen_angles(
     kind = features(vertices, faces, topo)[1]
     rim = mark(count, topo.edges[topo.boundary].ravel())
     cosines = sharpest_cosines(vertices, faces)
-    for _ in range(TRIES):
+    for attempt in range(MOST_TRIES):
+        if attempt >= TRIES and (cosines > FAIR).mean() < FEW_SHARP:
+            break
         needles = mark(count, faces[cosines > NARROW].ravel())
         asked = np.unique(faces[cosines > SHARP])
         asked = asked[((kind[asked] < 2) | needles[asked]) & ~pinned[asked]]
