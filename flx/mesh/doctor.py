@@ -226,6 +226,7 @@ def describe(report: Report, findings: Findings | None = None) -> str:
         ("colour", report.color_source),
         *(("texture", name) for name in report.textures),
         *(("missing image, not needed", name) for name in report.missing_images),
+        *(("option of map_Kd, kept, not applied", option) for option in report.ignored_options),
         *(_describe_findings(findings) if findings else ()),
     ]
     width = max(len(label) for label, _ in lines)
