@@ -23,6 +23,7 @@ REFUSED = {
     b"#?RADIANCE": "HDR",
     b"\x76\x2f\x31\x01": "EXR",
 }
+TIFF_BITS, TIFF_PLANES = 258, 284  # tags
 KINDS = {"RGBA": "RGB", "L": "grey", "LA": "grey", "I;16": "grey", "1": "black and white", "P": "palette"}
 
 
@@ -57,6 +58,9 @@ def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[
     Raises BadFile as `open_image` does, and for what Pillow cannot decode.
     """
     image = open_image(content, name)
+    tags = getattr(image, "tag_v2", {})
+    if tags.get(TIFF_PLANES) == 2 and max(tags.get(TIFF_BITS, (8,))) > 8:  # Pillow reads them as 8 bits
+        raise BadFile(f"image {name!r} is a TIFF of 16-bit planes; save it as PNG")
     try:
         image.load()
     except Exception as fault:  # a decoder may raise anything
