@@ -15,6 +15,7 @@ from PIL import Image
 from flx.mesh.assets import read_asset, write_glb, write_glb_colors
 from flx.mesh.glb import glb_bytes, replace_base_color, write_file
 from flx.mesh.gltf import Gltf, accessor, image_bytes, linear, parts, read_gltf, srgb
+from flx.pipeline.bake import check_output
 
 
 def png(color, size=(8, 4), alpha=None) -> bytes:
@@ -344,3 +345,13 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     with pytest.raises(OSError, match="full"):
         write_file(b"new", path)
     assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_the_maps_that_an_obj_would_not_have_are_named(tmp_path, capsys):
+    asset = read_asset(save(container(occlusion_shares=True), tmp_path / "a.glb"))
+    for format, said in (
+        ("glb", ""),
+        ("obj", f"{asset.path}: image 1, image 2 stay behind; --format glb keeps all\n"),
+    ):
+        check_output(asset, format, [tmp_path / f"out.{format}"])
+        assert capsys.readouterr().err == said
