@@ -415,3 +415,29 @@ def test_a_byte_order_mark_is_no_part_of_the_first_word(tmp_path):
     write_obj(asset, asset.mesh.textures, tmp_path / "in" / "new.obj")
     assert (tmp_path / "in" / "new.obj").read_bytes().startswith(b"\xef\xbb\xbfmtllib new.mtl\n")
     assert read_asset(tmp_path / "in" / "new.obj").digest == asset.digest
+
+
+# --- real data
+
+
+@pytest.mark.parametrize("name", ["keenan_spot", "gso_Chefmate_8_Frypan", "polyhaven_boulder_01"])
+def test_a_real_obj_comes_out_as_it_went_in(tmp_path, name):
+    """The boulder has no MTL and no usemtl: it gets both, in two lines."""
+    if "FLX_DATA" not in os.environ:
+        pytest.skip("FLX_DATA is not set: it names a folder with meshes/*/info.json")
+    path = next((Path(os.environ["FLX_DATA"]) / "meshes" / name).glob("*.obj"))
+    Image.effect_noise((8, 8), 99).convert("RGB").save(tmp_path / "small.png")
+    asset = read_asset(path, tmp_path / "small.png")
+    (tmp_path / "out").mkdir()
+    new = tmp_path / "out" / "new.obj"
+    write_obj(asset, asset.mesh.textures, new)
+    own = [line for line in path.read_bytes().splitlines(True) if not line.startswith(b"mtllib")]
+    lines = new.read_bytes().splitlines(True)
+    assert (
+        lines.pop(lines.index(b"mtllib new.mtl" + lines[-1][-2:].lstrip(b"0123456789/ "))) and len(own) > 9000
+    )
+    if name == "polyhaven_boulder_01":
+        assert lines.pop(next(k for k, line in enumerate(lines) if line[:2] == b"f ") - 1) == b"usemtl mesh\n"
+    assert lines == own and len(own) > 9000
+    assert read_asset(new).digest == asset.digest
+    assert files(new.parent) == {"new.obj", "new.mtl", "new.png"}
