@@ -50,6 +50,9 @@ f 3/1 4/2 8/3 7/4
 f 4/1 1/2 5/3
 f 4/1 5/3 8/4
 l 1 2
+# a comment goes on too \\
+ v 7 7 7 \\
+ mtllib my cube.mtl
 # the end"""
 MTL = """# materials
 newmtl wood
@@ -242,7 +245,7 @@ def test_an_absolute_path_into_the_folder_becomes_relative_for_the_file_goes_alo
 def test_a_given_texture_is_written_for_materials_without_one(tmp_path):
     """No MTL; one that is missing; one without these materials or without their map_Kd; faces of none."""
     Image.new("RGB", (4, 4), (1, 2, 3)).save(tmp_path / "t.png")
-    bare = CUBE.replace("mtllib my cube.mtl\n", "").replace("usemtl wood\n", "", 1)
+    bare = CUBE.replace("mtllib my cube.mtl\n", "", 1).replace("usemtl wood\n", "", 1)
     added = "newmtl {}\nKd 1 1 1\nmap_Kd new.png\n".format
     none, given = "newmtl wood\r\nKd 0 1 1\r\nnewmtl bone white\r\n", "map_Kd new.png\r\n"
     cases = {  # the OBJ, its MTL; how many lines the text has more, the MTL that comes of it
