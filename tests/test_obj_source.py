@@ -54,7 +54,7 @@ l 1 2
  v 7 7 7 \\
  mtllib my cube.mtl
 # the end"""
-MTL = """# materials
+MTL = """# materials of C:\\
 newmtl wood
 Ns 96.5
 Kd 0.8 0.8 0.8
@@ -331,10 +331,11 @@ def test_a_library_says_what_it_is_told_and_else_what_it_said(content):
             old[name].scale,
             old[name].options,
         )
-    assert repainted(content, {}) == renamed(content, lambda name: name) == content
-    away = renamed(content, lambda name: name + "x")
-    assert files_named(away) == [name + "x" for name in files_named(content)]
-    assert renamed(away, lambda name: name[:-1]) == content
+    names = {name: f"{name}x" for name in files_named(content)}
+    away = renamed(content, names)
+    assert files_named(away) == list(names.values())
+    assert renamed(away, {new: old for old, new in names.items()}) == content
+    assert repainted(content, {}) == renamed(content, {n: n for n in names}) == content
 
 
 # --- vertex colours

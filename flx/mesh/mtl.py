@@ -8,24 +8,19 @@ coordinates; the others are kept in their line and reported, like factors that m
 """
 
 import math
-import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from flx.mesh.files import BadFile, inside, numbers
+from flx.mesh.files import BadFile, numbers
 from flx.mesh.gltf import Material
 
-# A statement may go on after a backslash at the end of a line; a line may end as on any system.
-NEXT_LINE = rb"\\(?:\r\n|\r|\n)"
-GAP = rb"(?:[ \t\v\f]|" + NEXT_LINE + rb")"
-START = rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n])(?<!\\\r)(?<!\\\n)(?<!\\\r\n))" + GAP + rb"*+"
-REST = GAP + rb"*+(?P<value>(?:" + NEXT_LINE + rb"|[^\r\n])*+)"
-STATEMENT = re.compile(START + rb"(?P<key>[^\s\\#][^\s\\]*+)" + REST)
-WORD = re.compile(rb"(?:\\(?![\r\n])|[^\s\\])+")
+STATEMENT = re.compile(
+    rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t\v\f]*+(?P<key>[^\s#]\S*+)[ \t\v\f]*+(?P<value>[^\r\n]*+)"
+)
+WORD = re.compile(rb"\S+")
 LINE_END = re.compile(rb"\r\n|\r|\n")
 
 MAPS = {"bump", "disp", "decal", "refl", "norm"}  # and all that begin with map_
@@ -64,16 +59,20 @@ class Mapped(NamedTuple):
 
 
 def statements(content: bytes) -> Iterator[Statement]:
-    """Every statement of an OBJ or MTL file; comments and empty lines are passed over."""
+    """Every statement of a library; comments and empty lines are passed over."""
     for found in STATEMENT.finditer(content):
         value = found["value"].rstrip()
         start, key = found.start("value"), found["key"].decode(errors="replace").lower()
         yield Statement(key, value, start, start + len(value), found.end())
 
 
-def text_of(value: bytes) -> str:
-    """What a statement says, on one line."""
-    return re.sub(NEXT_LINE, b" ", value).decode(errors="replace").strip()
+def material_name(statement: Statement) -> str:
+    """The material that a newmtl defines."""
+    return " ".join(_text(statement.value).split())
+
+
+def _text(value: bytes) -> str:
+    return value.decode(errors="replace").strip()
 
 
 def file_name(statement: Statement) -> FileName | None:
@@ -92,11 +91,11 @@ def file_name(statement: Statement) -> FileName | None:
                 at += 1
         else:
             at = last if option in FLAGS else len(words) - 1
-        options[option.decode(errors="replace")] = tuple(text_of(word[0]) for word in words[first:at])
+        options[option.decode(errors="replace")] = tuple(_text(word[0]) for word in words[first:at])
     if not words:
         return None
     start = words[at].start()
-    name = text_of(statement.value[start:])
+    name = _text(statement.value[start:])
     return FileName(name, options, statement.start + start, statement.end)
 
 
@@ -110,14 +109,14 @@ def _is_number(word: bytes) -> bool:
 def parse_mtl(content: bytes) -> dict[str, Mapped]:
     """Materials by name: their diffuse colour, its image, read as sRGB, and how that lies on the surface.
 
-    Raises BadFile where Kd, `-s` or `-o` of a map_Kd are no numbers.
+    Raises BadFile where Kd is no number.
     """
     materials: dict[str, Mapped] = {}
     name = ""
     for statement in statements(content):
-        values = text_of(statement.value).split()
+        values = _text(statement.value).split()
         if statement.key == "newmtl":
-            name = " ".join(values)
+            name = material_name(statement)
             materials[name] = Mapped(Material(name, (1.0, 1.0, 1.0), None))
         elif statement.key == "kd" and name and len(values) >= 3:
             r, g, b = np.nan_to_num(numbers(" ".join(values[:3]))).clip(0, 1).tolist()
@@ -147,14 +146,12 @@ def files_named(content: bytes) -> list[str]:
     return list(names)
 
 
-def renamed(content: bytes, new_name: Callable[[str], str]) -> bytes:
-    """The library with other names of files."""
-    edits = []
-    for statement in statements(content):
-        file = file_name(statement)
-        if file and (name := new_name(file.name)) != file.name:
-            edits.append((file.start, file.end, name.encode()))
-    return edited(content, edits)
+def renamed(content: bytes, names: Mapping[str, str]) -> bytes:
+    """The library with other names of files: {old: new}; where they are the same, not a byte changes."""
+    files = filter(None, map(file_name, statements(content)))
+    return edited(
+        content, ((f.start, f.end, names[f.name].encode()) for f in files if names[f.name] != f.name)
+    )
 
 
 def repainted(content: bytes, images: Mapping[str, str]) -> bytes:
@@ -170,7 +167,7 @@ def repainted(content: bytes, images: Mapping[str, str]) -> bytes:
     for statement in statements(content):
         if statement.key == "newmtl":
             close()
-            new = images.get(" ".join(text_of(statement.value).split()), "").encode()
+            new = images.get(material_name(statement), "").encode()
             heading = statement.stop
             added = line_end(content) + b"map_Kd " + new if new else b""
         elif statement.key == "map_kd" and new and (file := file_name(statement)):
@@ -193,15 +190,3 @@ def line_end(content: bytes) -> bytes:
     """How the lines of a file end."""
     found = LINE_END.search(content)
     return found[0] if found else b"\n"
-
-
-def own_name(folder: Path, name: str) -> str:
-    """The name of a file in its asset's folder, relative to it; absolute paths into the folder become so.
-
-    Raises BadFile where it leads out of the folder, as `inside` does.
-    """
-    path = inside(folder, name)
-    plain = os.path.normpath(name.replace("\\", "/"))
-    if os.path.isabs(plain) or plain.split("/")[0] == "..":
-        return path.relative_to(folder.resolve()).as_posix()
-    return plain

@@ -20,17 +20,13 @@ from jaxtyping import Float32, Float64, Int
 from flx.mesh.files import BadFile, inside, limit, read_file
 from flx.mesh.glb import write_file
 from flx.mesh.mtl import (
-    GAP,
-    REST,
-    START,
     edited,
     files_named,
     line_end,
-    own_name,
+    material_name,
     renamed,
     repainted,
     statements,
-    text_of,
 )
 from flx.mesh.obj import color_scale
 from flx.mesh.texels import quantized
@@ -38,6 +34,12 @@ from flx.mesh.texels import quantized
 # What other programs read as a map; flx itself reads fewer kinds.
 SUFFIXES = (".png", ".jpg", ".jpeg", ".jp2", ".webp", ".bmp", ".tga", ".tif", ".tiff")
 SUFFIXES += (".gif", ".psd", ".exr", ".hdr", ".dds", ".ktx", ".ktx2")
+
+# A statement goes on in the next line after a backslash; lines end as on any system.
+NEXT_LINE = rb"\\(?:\r\n|\r|\n)"
+GAP = rb"(?:[ \t\v\f]|" + NEXT_LINE + rb")"
+START = rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n])(?<!\\\r)(?<!\\\n)(?<!\\\r\n))" + GAP + rb"*+"
+REST = GAP + rb"*+(?P<value>(?:" + NEXT_LINE + rb"|[^\r\n])*+)"
 LIBRARY = re.compile(START + rb"(?P<key>mtllib)(?=[\s\\]|\Z)" + REST)
 NAMELESS = re.compile(START + rb"usemtl" + GAP + rb"*+(?=[\r\n]|\Z)")
 FACE = re.compile(START + rb"(?P<key>f)(?=[\s\\])")
@@ -72,13 +74,13 @@ def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[st
             continue
         if (size := size + len(content)) > (most := limit("FLX_MAX_BYTES")):
             raise BadFile(f"its MTL files have more than {most:,} bytes; reduce them, or set FLX_MAX_BYTES")
-        libraries[name] = renamed(content, lambda n: _relative(folder, n))
+        libraries[name] = renamed(content, {n: _relative(folder, n) for n in files_named(content)})
     return libraries, missing
 
 
 def _names(folder: Path, value: bytes) -> list[str]:
     """The files of one mtllib: a name that may hold spaces, or several that each end in .mtl."""
-    whole = text_of(value)
+    whole = re.sub(NEXT_LINE, b" ", value).decode(errors="replace").strip()
     if not whole:
         return []
     several = re.split(r"(?<=\.mtl)\s+", whole, flags=re.IGNORECASE)
@@ -86,14 +88,27 @@ def _names(folder: Path, value: bytes) -> list[str]:
 
 
 def _relative(folder: Path, name: str) -> str:
-    """An absolute path into the folder becomes relative, for the file goes along; other names stay."""
-    plain = os.path.normpath(name.replace("\\", "/"))
-    if not os.path.isabs(plain) and plain.split("/")[0] != "..":
-        return name
+    """A name that comes into the folder from outside becomes relative, for the file goes along."""
     try:
-        return own_name(folder, name)
+        own = _own_name(folder, name)
     except BadFile:
         return name
+    return name if own == _plain(name) else own
+
+
+def _own_name(folder: Path, name: str) -> str:
+    """The name of a file in its asset's folder, relative to it.
+
+    Raises BadFile where it leads out of the folder, as `inside` does.
+    """
+    path, plain = inside(folder, name), _plain(name)
+    if os.path.isabs(plain) or plain.split("/")[0] == "..":
+        return path.relative_to(folder.resolve()).as_posix()
+    return plain
+
+
+def _plain(name: str) -> str:
+    return os.path.normpath(name.replace("\\", "/"))
 
 
 def find_maps(folder: Path, libraries: Mapping[str, bytes]) -> tuple[dict[str, str], list[str]]:
@@ -105,7 +120,7 @@ def find_maps(folder: Path, libraries: Mapping[str, bytes]) -> tuple[dict[str, s
     most = limit("FLX_MAX_BYTES")
     for name in dict.fromkeys(name for content in libraries.values() for name in files_named(content)):
         try:
-            own, path = own_name(folder, name), inside(folder, name)
+            own, path = _own_name(folder, name), inside(folder, name)
             there = own.lower().endswith(SUFFIXES) and path.is_file() and path.stat().st_size <= most
         except (BadFile, OSError):
             there = False
@@ -169,7 +184,7 @@ def write_copy(source: ObjSource, path: Path) -> None:
 def material_names(source: ObjSource) -> set[str]:
     """The materials that the libraries define."""
     found = [s for content in source.libraries.values() for s in statements(content) if s.key == "newmtl"]
-    return {" ".join(text_of(s.value).split()) for s in found}
+    return set(map(material_name, found))
 
 
 def _with_materials(library: bytes, images: Mapping[str, str]) -> bytes:
