@@ -395,6 +395,17 @@ def test_black_is_read_back_as_black_from_a_file_that_counted_to_255(tmp_path):
     np.testing.assert_array_equal(read_asset(tmp_path / "in" / "new.obj").mesh.corner_colors, dark[0, 0])
 
 
+def test_faces_that_repair_drops_do_not_darken_what_lies_under_them(tmp_path):
+    """The same face once more, in another material: its vertices have no new colour of their own."""
+    text = colored(1).replace("l 1 2", "usemtl other\nf 1/2 4/2 3/2 2/2")
+    asset = read_asset(saved(tmp_path / "in", text, "newmtl wood\n"))
+    assert asset.report.duplicate_faces == 2
+    new = np.zeros((asset.report.vertices_read, 3), np.float32)
+    new[asset.corner_vertices] = 0.75
+    write_obj_colors(asset, new, tmp_path / "in" / "new.obj")
+    assert (read_asset(tmp_path / "in" / "new.obj").mesh.corner_colors == 0.75).all()
+
+
 # --- other formats
 
 

@@ -53,7 +53,8 @@ def write_obj_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
     """An OBJ with an sRGB colour after each position, as most readers take it."""
     check_room(asset, Path(path))
     if isinstance(asset.container, ObjSource):
-        obj_source.write_colored(asset.container, colors, Path(path))
+        used = np.unique(asset.corner_vertices)  # repair dropped the faces of others: they have no colour
+        obj_source.write_colored(asset.container, asset.container.rows[used], colors[used], Path(path))
     else:
         write_file("\n".join(_obj_lines(asset, None, colors)).encode(), Path(path))
 

@@ -10,7 +10,7 @@ image: a stranger's MTL must neither fetch a user's files nor plant a script whe
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,14 +36,15 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".jp2", ".webp", ".bmp", ".tga", ".tif", ".
 SUFFIXES += (".gif", ".psd", ".exr", ".hdr", ".dds", ".ktx", ".ktx2")
 
 # A statement goes on in the next line after a backslash; lines end as on any system.
+BOM = b"\xef\xbb\xbf"
 NEXT_LINE = rb"\\(?:\r\n|\r|\n)"
 GAP = rb"(?:[ \t\v\f]|" + NEXT_LINE + rb")"
 START = rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n])(?<!\\\r)(?<!\\\n)(?<!\\\r\n))" + GAP + rb"*+"
 REST = GAP + rb"*+(?P<value>(?:" + NEXT_LINE + rb"|[^\r\n])*+)"
-LIBRARY = re.compile(START + rb"(?P<key>mtllib)(?=[\s\\]|\Z)" + REST)
-NAMELESS = re.compile(START + rb"usemtl" + GAP + rb"*+(?=[\r\n]|\Z)")
-FACE = re.compile(START + rb"(?P<key>f)(?=[\s\\])")
-USE = re.compile(START + rb"(?P<key>usemtl)(?=[\s\\]|\Z)")
+CONTINUED = (b"\\\n", b"\\\r", b"\\\r\n")
+LIBRARY = re.compile(rb"mtllib(?=[\s\\]|\Z)" + REST)
+USE = re.compile(rb"usemtl(?=[\s\\]|\Z)" + REST)
+FACE = re.compile(rb"f(?=[\s\\])")
 NUMBER = GAP + rb"++([^\s\\#]++)"
 COLORED = re.compile(START + rb"v" + 6 * NUMBER)  # groups 4 to 6 are the colour
 
@@ -66,7 +67,8 @@ def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[st
     """
     libraries: dict[str, bytes] = {}
     missing, size = [], 0
-    for name in dict.fromkeys(n for found in LIBRARY.finditer(text) for n in _names(folder, found["value"])):
+    named = (_names(folder, found["value"]) for found in _statements(LIBRARY, text))
+    for name in dict.fromkeys(name for names in named for name in names):
         try:
             content = read_file(inside(folder, name))
         except FileNotFoundError:
@@ -76,6 +78,18 @@ def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[st
             raise BadFile(f"its MTL files have more than {most:,} bytes; reduce them, or set FLX_MAX_BYTES")
         libraries[name] = renamed(content, {n: _relative(folder, n) for n in files_named(content)})
     return libraries, missing
+
+
+def _statements(pattern: re.Pattern[bytes], text: bytes) -> Iterator[re.Match[bytes]]:
+    """Where a pattern begins a statement. Words are found ten times faster than beginnings of lines."""
+    for found in pattern.finditer(text):
+        at = found.start()
+        while at and text[at - 1] in b" \t\v\f":
+            at -= 1
+        before = text[max(at - 3, 0) : at]
+        ended = before.endswith((b"\n", b"\r")) and not before.endswith(CONTINUED)
+        if ended or at == 0 or (at == 3 and before == BOM):
+            yield found
 
 
 def _names(folder: Path, value: bytes) -> list[str]:
@@ -152,19 +166,18 @@ def write_painted(source: ObjSource, images: Mapping[str, str], fresh: str, path
     _write(source, libraries, text, path)
 
 
-def write_colored(source: ObjSource, colors: Float32[Any, "V 3"], path: Path) -> None:
-    """The OBJ with other numbers for the colours of its vertices: one for each of the asset's, a mean for
-    each v. Counts to 1 or to 255 as the file does; a v that no face uses keeps its own.
+def write_colored(source: ObjSource, rows: Int[Any, "N"], colors: Float32[Any, "N 3"], path: Path) -> None:
+    """The OBJ with other colours of the v in `rows`, their mean where one stands there several times.
 
-    Raises ValueError where a v has no colour.
+    Counts to 1 or to 255 as the file does; other v keep their own. Raises ValueError where a v has no colour.
     """
     found = (found.span(channel) for found in COLORED.finditer(source.text) for channel in (4, 5, 6))
     places = np.fromiter((end for span in found for end in span), np.int64).reshape(-1, 3, 2)
     if source.colors is None or len(places) != len(source.colors):
         raise ValueError(f"{len(places)} v of the OBJ have a colour, not all; export it again")
-    counts = np.bincount(source.rows, minlength=len(source.colors))
+    counts = np.bincount(rows, minlength=len(source.colors))
     used = np.flatnonzero(counts)
-    sums = [np.bincount(source.rows, channel, len(source.colors)) for channel in colors.T.astype(np.float64)]
+    sums = [np.bincount(rows, channel, len(source.colors)) for channel in colors.T.astype(np.float64)]
     means = (np.stack(sums, 1)[used] / counts[used, None]).astype(np.float32)
     table = source.colors.copy()
     table[used] = quantized(means)
@@ -196,13 +209,12 @@ def _with_materials(library: bytes, images: Mapping[str, str]) -> bytes:
 
 def _with_material_of_the_rest(text: bytes, name: str) -> bytes:
     """The text with a usemtl before its first face, and a name where a usemtl has none."""
-    edits = [(m.end(), m.end(), b" " + name.encode()) for m in NAMELESS.finditer(text)]
-    first = FACE.search(text)
-    use = USE.search(text)
-    if first and (use is None or first.start("key") < use.start("key")):
-        at = first.start("key")
-        edits.append((at, at, b"usemtl " + name.encode() + line_end(text)))
-    return edited(text, sorted(edits))
+    uses = list(_statements(USE, text))
+    edits = [(use.end(), use.end(), b" " + name.encode()) for use in uses if not use["value"].strip()]
+    first = next(_statements(FACE, text), None)
+    if first and (not uses or first.start() < uses[0].start()):
+        edits.insert(0, (first.start(), first.start(), b"usemtl " + name.encode() + line_end(text)))
+    return edited(text, edits)
 
 
 def library_files(source: ObjSource, path: Path) -> dict[str, Path]:
@@ -225,7 +237,7 @@ def _naming(source: ObjSource, text: bytes, written: Mapping[str, str]) -> bytes
     or comes first."""
     stand_in = written.get("")
     edits, named = [], False
-    for found in LIBRARY.finditer(text):
+    for found in _statements(LIBRARY, text):
         names = [written.get(n, stand_in or n) for n in _names(source.folder, found["value"])]
         names = names or [stand_in or ""]
         start = found.start("value")
@@ -233,7 +245,7 @@ def _naming(source: ObjSource, text: bytes, written: Mapping[str, str]) -> bytes
         edits.append((start, start + len(found["value"].rstrip()), gap + " ".join(names).encode()))
         named = True
     if stand_in and not named:
-        at = 3 if text.startswith(b"\xef\xbb\xbf") else 0
+        at = len(BOM) if text.startswith(BOM) else 0
         edits.append((at, at, f"mtllib {stand_in}".encode() + line_end(text)))
     return edited(text, edits)
 
