@@ -2,8 +2,8 @@
 new colours.
 
 `flx.mesh.formats` reads the file, `flx.mesh.repair` makes a manifold of it and counts what it does,
-`flx.mesh.glb` writes. Original rows are kept in `Asset.parts`: what is written is the file's own geometry,
-never the repaired one.
+`flx.mesh.glb` and `exports` write. Original rows are kept in `Asset.parts`: what is written is the file's own
+geometry, never the repaired one.
 
 Texture coordinates run right and down. Images become 8-bit RGB; alpha is kept aside for the output. Factors
 that multiply a texture are ignored, and left as they are.
