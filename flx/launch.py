@@ -91,7 +91,7 @@ def sample(
         steps: Steps of the DDIM sampler.
         texture_size: Pixels on the atlas' longer side; the input's, at most 2048, unless given.
         out: Folder to write to; RUN/samples unless given.
-        format: "glb" keeps all that a GLB or glTF held; "obj" adds MTL and PNG; "ply" holds vertex colours.
+        format: "glb" keeps all that a GLB or glTF held, "obj" all of an OBJ; "ply" holds vertex colours.
     """
     from flx.pipeline.sample import sample as draw
 
@@ -123,7 +123,7 @@ def reconstruct(
         up: The axis that points up in the pictures.
         seed: Of the triangulation.
         out: Folder to write to; MESH-VERTICES unless given.
-        format: "glb" keeps all that a GLB or glTF held; "obj" adds MTL and PNG; "ply" holds vertex colours.
+        format: "glb" keeps all that a GLB or glTF held, "obj" all of an OBJ; "ply" holds vertex colours.
     """
     from flx.pipeline.evaluate import reconstruct as there_and_back
 

@@ -254,6 +254,17 @@ def many_big_parts(folder: Path) -> Path:
     return folder / "a.glb"
 
 
+def other_map(name: str) -> Build:
+    return obj(mtl=MTL + f"map_Bump {name}\n")
+
+
+def many_big_maps(folder: Path) -> Path:
+    for i in range(5):
+        with open(folder / f"b{i}.png", "wb") as file:
+            file.truncate(500 << 20)
+    return obj(mtl=MTL + "".join(f"norm b{i}.png\n" for i in range(5)))(folder)
+
+
 def many_bombs(folder: Path) -> Path:
     (folder / "a.png").write_bytes(png_bomb(8000, 8000))
     text, mtl = OBJ[: OBJ.index("usemtl")], ""
@@ -272,6 +283,15 @@ GOOD = {
     "PLY, ASCII": ply(PLY),
     "PLY, binary": ply(ply_binary()),
     "GLB": gltf(len),
+    # What flx itself does not need is told, and left where it is.
+    **{
+        f"OBJ, map_Bump {name}": other_map(name)
+        for name in ("../a.png", "/etc/hostname", "http://127.0.0.1:9/a.png")
+    },
+    "OBJ, map_Bump is a folder": beside(other_map("b.png"), "b.png", os.mkdir),
+    "OBJ, map_Bump is a pipe": beside(other_map("b.png"), "b.png", os.mkfifo),
+    "OBJ, map_Bump is a device": symlink(other_map("b.png"), "b.png", "/dev/zero"),
+    "OBJ, map_Bump of 20 GB": beside(other_map("b.png"), "b.png", sparse_file),
     "GLB, image as data URI": image_uri("data:image/png;base64," + base64.b64encode(png()).decode()),
 }
 
@@ -287,6 +307,13 @@ CASES = [
     Case("OBJ: mtllib is a link out", symlink(obj(), "m.mtl", "/etc/passwd"), "outside"),
     Case("OBJ: map_Kd is missing", obj(mtl=MTL.replace("a.png", "b.png")), "does not exist.*--texture"),
     Case("OBJ: mtllib is missing", obj(lambda t: t.replace("m.mtl", "n.mtl")), "does not exist.*--texture"),
+    Case("OBJ: MTL of 20 GB", beside(obj(), "m.mtl", sparse_file), "FLX_MAX_BYTES"),
+    Case("OBJ: MTL is a pipe", beside(obj(), "m.mtl", os.mkfifo), "not a file"),
+    Case("OBJ: a second MTL is outside", obj(lambda t: t.replace("m.mtl", "m.mtl ../m.mtl")), "outside"),
+    Case("OBJ: 5,000 maps", obj(mtl=MTL + "".join(f"norm b{i}.png\n" for i in range(5000))), "maps, more than"),
+    Case("OBJ: maps of 2.5 GB", many_big_maps, "FLX_MAX_BYTES"),
+    Case("OBJ: map_Kd -s nan", obj(mtl=MTL.replace("a.png", "-s nan a.png")), "does not exist"),
+    Case("OBJ: map_Kd -o 1e300", obj(mtl=MTL.replace("a.png", "-o 1e300 a.png")), "not finite, or too far"),
     Case("OBJ: map_Kd with a NUL", obj(mtl=MTL.replace("a.png", "a\0.png")), "null"),
     Case("OBJ: map_Kd of 5,000 letters", obj(mtl=MTL.replace("a.png", "a" * 5000)), "too long"),
     Case("GLB: buffer ../a.bin", buffer_uri("../a.bin"), "outside"),

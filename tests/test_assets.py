@@ -2,10 +2,13 @@
 
 import json
 import os
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from hostile import PLY
 from PIL import Image
 
@@ -192,6 +195,51 @@ def test_every_kind_of_image_becomes_8_bit_rgb(tmp_path, mode, value, expected, 
     assert rgb.shape == (3, 4, 3)
     assert expected is None or (rgb == expected).all()
     assert (found is None) if alpha is None else (found == alpha).all()
+
+
+@pytest.mark.parametrize(
+    "mode, told",
+    [
+        ("RGB", ""),
+        ("RGBA", ""),
+        ("L", "grey"),
+        ("LA", "grey"),
+        ("P", "palette"),
+        ("1", "black and white"),
+        ("I;16", "16-bit grey"),
+        ("16-bit RGB", "16-bit RGB"),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_an_image_that_was_not_8_bit_rgb_is_told_in_the_report(tmp_path, mode, told, suffix):
+    path = save_obj(tmp_path, mtl=MTL.replace("a.png", f"b.{suffix}"))
+    if mode == "16-bit RGB":
+        rows = np.full((3, 4, 3), 257 * 90, np.uint16)
+        if suffix == "tif":
+            tifffile.imwrite(tmp_path / "b.tif", rows.transpose(2, 0, 1), photometric="rgb", planarconfig=2)
+            with pytest.raises(ValueError, match=r"b\.tif' is a TIFF of 16-bit planes; save it as PNG"):
+                read_asset(path)
+            tifffile.imwrite(tmp_path / "b.tif", rows, photometric="rgb")
+        else:
+            write_png_of_16_bits(tmp_path / "b.png", rows)
+    elif mode == "I;16":
+        Image.fromarray(np.full((3, 4), 257 * 200, np.uint16)).save(tmp_path / f"b.{suffix}")
+    else:
+        Image.new(mode, (4, 3)).save(tmp_path / f"b.{suffix}")
+    found = read_asset(path).report.textures[0]
+    assert found == f"b.{suffix}: 4 × 3" + (f", made from {told}" if told else "")
+    assert found in describe(read_asset(path).report)
+
+
+def write_png_of_16_bits(path: Path, rows: np.ndarray) -> None:
+    """Pillow has no such image."""
+    height, width = rows.shape[:2]
+    data = b"".join(b"\0" + row.astype(">u2").tobytes() for row in rows)
+    head = struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)
+    content = b"\x89PNG\r\n\x1a\n"
+    for kind, body in ((b"IHDR", head), (b"IDAT", zlib.compress(data)), (b"IEND", b"")):
+        content += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    path.write_bytes(content)
 
 
 def test_the_digest_follows_content_not_place(tmp_path):

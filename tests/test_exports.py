@@ -15,7 +15,7 @@ from flx.mesh.gltf import read_gltf
 from flx.mesh.seams import seam_ratio
 from flx.mesh.texels import atlas_texels, surface_colors
 from flx.mesh.unwrap import is_unwrappable, unwrapped
-from flx.pipeline.bake import prepared_for, write_png
+from flx.pipeline.bake import check_output, prepared_for, write_png
 
 # A tetrahedron; the first half shows an image that has alpha, the second another image, one face a colour.
 OBJ = """mtllib m.mtl
@@ -77,7 +77,7 @@ def test_an_obj_is_read_back_with_the_same_corners_names_and_images(tmp_path):
     names = {"new.obj", "new.mtl", "new_0.png", "new_1.png"}  # none for the flat colour
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     again = read_asset(tmp_path / "out" / "new.obj")
-    assert {p.name for p in again.paints} >= {"skin", "bone_white", "plain"}
+    assert {p.name for p in again.paints} >= {"skin", "bone white", "plain"}
 
     def corners(a) -> np.ndarray:
         rows = [a.mesh.vertices[a.mesh.faces], a.mesh.corner_uvs]
@@ -156,7 +156,7 @@ def test_a_write_that_fails_half_way_leaves_the_old_file_and_nothing_else(tmp_pa
 
 def test_a_ply_is_not_written_from_textures(tmp_path):
     with pytest.raises(ValueError, match=r"mesh\.obj has textures.*--format glb or obj"):
-        prepared_for(read_asset(textured(tmp_path)), "ply")
+        check_output(read_asset(textured(tmp_path)), "ply", [tmp_path / "out.ply"])
 
 
 # --- unwrapping

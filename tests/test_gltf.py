@@ -16,6 +16,7 @@ from flx.mesh.assets import read_asset, write_glb, write_glb_colors
 from flx.mesh.files import write_atomically
 from flx.mesh.glb import glb_bytes, replace_base_color
 from flx.mesh.gltf import Gltf, accessor, image_bytes, linear, parts, read_gltf, srgb
+from flx.pipeline.bake import check_output
 
 
 def png(color, size=(8, 4), alpha=None) -> bytes:
@@ -336,3 +337,13 @@ def test_a_spoilt_file_is_one_line_that_names_it(tmp_path, spoil, match):
     with pytest.raises(ValueError, match=match) as caught:
         read_asset(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_the_maps_that_an_obj_would_not_have_are_named(tmp_path, capsys):
+    asset = read_asset(save(container(occlusion_shares=True), tmp_path / "a.glb"))
+    for format, said in (
+        ("glb", ""),
+        ("obj", f"{asset.path}: image 1, image 2 stay behind; --format glb keeps all\n"),
+    ):
+        check_output(asset, format, [tmp_path / f"out.{format}"])
+        assert capsys.readouterr().err == said

@@ -2,28 +2,27 @@
 new colours.
 
 `flx.mesh.formats` reads the file, `flx.mesh.repair` makes a manifold of it and counts what it does,
-`flx.mesh.glb` writes. Original rows are kept in `Asset.parts`: what is written is the file's own geometry,
-never the repaired one.
+`flx.mesh.glb` and `exports` write. Original rows are kept in `Asset.parts`: what is written is the file's own
+geometry, never the repaired one.
 
 Texture coordinates run right and down. Images become 8-bit RGB; alpha is kept aside for the output. Factors
 that multiply a texture are ignored, and left as they are.
 """
 
 import hashlib
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt8
-from PIL import Image
 
 from flx.mesh import glb
 from flx.mesh.files import BadFile, read_file, write_atomically
 from flx.mesh.formats import READERS, Contents
 from flx.mesh.gltf import Gltf, Paint, Part
-from flx.mesh.images import check_together, decode_image
+from flx.mesh.images import check_together, decode_image, encode_png, told_of
+from flx.mesh.obj_source import ObjSource
 from flx.mesh.repair import Repaired, repair
 from flx.types import TexturedMesh
 
@@ -37,6 +36,7 @@ class Texture(NamedTuple):
     name: str
     alpha: UInt8[Any, "H W"] | None
     flat: bool  # made from a material's colour: never replaced
+    made_from: str = ""  # what it was, if not 8-bit RGB: "16-bit grey"
 
 
 class Report(NamedTuple):
@@ -69,7 +69,8 @@ class Report(NamedTuple):
     outside_uv_faces: int  # a corner outside [0, 1]: the texture repeats there
     color_source: str  # "texture" or "vertex colours"
     textures: tuple[str, ...]
-    missing_images: tuple[str, ...]  # of other maps; the reference is kept as it is
+    missing_images: tuple[str, ...]  # of other maps, or not to be copied; the reference is kept as it is
+    ignored_options: tuple[str, ...]  # of map_Kd; kept as they are
 
 
 class Asset(NamedTuple):
@@ -82,7 +83,7 @@ class Asset(NamedTuple):
     paints: tuple[Paint, ...]  # by `Part.material`
     textures: tuple[Texture, ...]  # beside `mesh.textures`
     corner_vertices: Int[Any, "F 3"]  # the original vertex of each corner, counted through the parts
-    container: Gltf | None  # the file, if it was GLB or glTF
+    container: Gltf | ObjSource | None  # the file, if it was GLB, glTF or OBJ
     digest: str  # SHA-256 of geometry and colours
 
 
@@ -187,7 +188,7 @@ def _choose_textures(
     for name, content in encoded.items():
         rgb, alpha = decode_image(content, name)
         images.append(rgb)
-        textures.append(Texture(name, alpha, flat=False))
+        textures.append(Texture(name, alpha, flat=False, made_from=told_of(content, name)))
     texture_of = {m: names.index(name) for m, name in wanted.items()}
     for material in used:
         if material not in texture_of:
@@ -283,7 +284,6 @@ def _report(
 ) -> Report:
     outside = ((mesh.corner_uvs < 0) | (mesh.corner_uvs > 1)).any((1, 2))
     painted = ~np.array([t.flat for t in textures] or [True])[mesh.face_textures]
-    sizes = [f"{t.name}: {i.shape[1]} × {i.shape[0]}" for t, i in zip(textures, mesh.textures, strict=True)]
     return Report(
         path=str(path),
         format=path.suffix[1:].upper(),
@@ -299,9 +299,15 @@ def _report(
         flat_uv_faces=int((painted & (np.abs(uv_areas(mesh)) <= 1e-14)).sum()),
         outside_uv_faces=int((painted & outside).sum()),
         color_source="texture" if textures else "vertex colours",
-        textures=tuple(f"{s} (flat)" if t.flat else s for s, t in zip(sizes, textures, strict=True)),
+        textures=tuple(map(_told, textures, mesh.textures)),
         missing_images=contents.missing_images,
+        ignored_options=contents.ignored_options,
     )
+
+
+def _told(texture: Texture, image: UInt8[Any, "H W 3"]) -> str:
+    was = " (flat)" if texture.flat else f", made from {texture.made_from}" * bool(texture.made_from)
+    return f"{texture.name}: {image.shape[1]} × {image.shape[0]}{was}"
 
 
 # ---------------------------------------------------------------------------------------------- writing
@@ -319,11 +325,11 @@ def write_glb(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
             "give one for each, or vertex colours to write_glb_colors"
         )
     pngs = {i: encode_png(images[i], t.alpha) for i, t in enumerate(asset.textures) if not t.flat}
-    if asset.container is None:
-        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, pngs)
-    else:
+    if isinstance(asset.container, Gltf):
         shown = {i: paint.texture for i, paint in enumerate(asset.paints) if paint.texture in pngs}
         file = glb.replace_base_color(asset.container, shown, pngs)
+    else:
+        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, pngs)
     write_atomically(Path(path), glb.glb_bytes(file))
 
 
@@ -338,19 +344,9 @@ def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
         )
     ends = np.cumsum([len(part.positions) for part in asset.parts])
     each = np.split(colors, ends[:-1])
-    if asset.container is None:
-        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, {}, each)
-    else:
+    if isinstance(asset.container, Gltf):
         origins = [part.origin for part in asset.parts]
         file = glb.replace_colors(asset.container, dict(zip(origins, each, strict=True)))
+    else:
+        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, {}, each)
     write_atomically(Path(path), glb.glb_bytes(file))
-
-
-def encode_png(image: UInt8[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:
-    """A PNG; `alpha`, of any size, makes it RGBA."""
-    picture = Image.fromarray(image)
-    if alpha is not None:
-        picture.putalpha(Image.fromarray(alpha).resize(picture.size, Image.Resampling.BILINEAR))
-    content = io.BytesIO()
-    picture.save(content, format="PNG")
-    return content.getvalue()

@@ -223,7 +223,8 @@ def describe(report: Report, findings: Findings | None = None) -> str:
         ("Euler characteristic", str(report.euler)),
         ("colour", report.color_source),
         *(("texture", name) for name in report.textures),
-        *(("missing image, not needed", name) for name in report.missing_images),
+        *(("other map, not here, left alone", name) for name in report.missing_images),
+        *(("option of map_Kd, kept, not applied", option) for option in report.ignored_options),
         *(_describe_findings(findings) if findings else ()),
     ]
     width = max(len(label) for label, _ in lines)

@@ -1,8 +1,9 @@
-"""An asset with new colours as OBJ (with MTL and PNG) or PLY: the triangles and coordinates of its parts.
+"""An asset with new colours as OBJ (with MTL and PNG) or PLY.
 
-Both are written anew: names of parts and materials are kept, node transforms are applied, numbers are exact.
-What the formats cannot say (other maps, extras, alpha of vertices) stays behind; a GLB keeps it. Every file
-is there whole or not at all, and the OBJ comes last: it never names what is not there yet.
+What came as OBJ goes out as the same OBJ (`flx.mesh.obj_source`). All else is written anew from the triangles
+and coordinates of its parts: names of parts and materials are kept, node transforms are applied, numbers are
+exact. What the formats cannot say (other maps, extras, alpha of vertices) stays behind; a GLB keeps it. Every
+file is there whole or not at all, and the OBJ comes last: it never names what is not there yet.
 """
 
 import re
@@ -13,8 +14,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Num, UInt8
 
-from flx.mesh.assets import Asset, encode_png
+from flx.mesh import obj_source
+from flx.mesh.assets import Asset
 from flx.mesh.files import write_atomically
+from flx.mesh.glb import other_images
+from flx.mesh.gltf import Gltf
+from flx.mesh.images import encode_png
+from flx.mesh.obj_source import ObjSource
 from flx.mesh.texels import quantized
 
 BLOCK = 1 << 14  # rows written at a time
@@ -28,11 +34,13 @@ def write_obj(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
     path = Path(path)
     if len(images) != len(asset.textures):
         raise ValueError(f"{len(images)} images for the {len(asset.textures)} textures of {asset.path}")
-    files = {}
-    for index, (image, texture) in enumerate(zip(images, asset.textures, strict=True)):
-        if not texture.flat:
-            files[index] = f"{path.stem}_{index}.png" if len(images) > 1 else f"{path.stem}.png"
-            write_atomically(path.with_name(files[index]), encode_png(image, texture.alpha))
+    check_room(asset, path)
+    files = image_files(asset, path)
+    for index, file in files.items():
+        write_atomically(path.with_name(file), encode_png(images[index], asset.textures[index].alpha))
+    if isinstance(asset.container, ObjSource):
+        obj_source.write_painted(asset.container, _painted(asset, files), _fresh_name(asset), path)
+        return
     library = []
     for name, paint in zip(_material_names(asset), asset.paints, strict=True):
         color = (1.0, 1.0, 1.0) if paint.texture in files else paint.color
@@ -43,8 +51,81 @@ def write_obj(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
 
 
 def write_obj_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
-    """One OBJ with an sRGB colour after each position, as most readers take it."""
-    write_atomically(Path(path), "\n".join(_obj_lines(asset, None, colors)).encode())
+    """An OBJ with an sRGB colour after each position, as most readers take it."""
+    check_room(asset, Path(path))
+    if isinstance(asset.container, ObjSource):
+        used = np.unique(asset.corner_vertices)  # repair dropped the faces of others: they have no colour
+        obj_source.write_colored(asset.container, asset.container.rows[used], colors[used], Path(path))
+    else:
+        write_atomically(Path(path), "\n".join(_obj_lines(asset, None, colors)).encode())
+
+
+def image_files(asset: Asset, path: Path) -> dict[int, str]:
+    """The PNG beside an OBJ for each texture that is not flat. None is called like a map of the asset."""
+    taken = set(asset.container.maps.values()) if isinstance(asset.container, ObjSource) else set()
+    taken = {name.lower() for name in taken}
+    files = {}
+    for index, texture in enumerate(asset.textures):
+        name = f"{path.stem}_{index}" if len(asset.textures) > 1 else path.stem
+        while f"{name}.png".lower() in taken:
+            name += "_new"
+        if not texture.flat:
+            files[index] = f"{name}.png"
+    return files
+
+
+def _painted(asset: Asset, files: dict[int, str]) -> dict[str, str]:
+    """The image file of each material that shows one; "" for the faces that have no material."""
+    names = [*(paint.name for paint in asset.paints[:-1]), ""]
+    return {n: files[p.texture] for n, p in zip(names, asset.paints, strict=True) if p.texture in files}
+
+
+def _fresh_name(asset: Asset) -> str:
+    """A name for the material of faces that have none."""
+    taken, name = {paint.name for paint in asset.paints[:-1]}, _word(asset.path.stem)
+    if isinstance(asset.container, ObjSource):
+        taken |= obj_source.material_names(asset.container)
+    while name in taken:
+        name += "_"
+    return name
+
+
+def left_behind(asset: Asset, format: str) -> str:
+    """What the file has that a file of another format will not have: maps, polygons. Empty: nothing."""
+    source = asset.container
+    if isinstance(source, Gltf) and format != "glb":
+        return ", ".join(other_images(source))
+    if isinstance(source, ObjSource) and format != "obj":
+        polygons = [f"{asset.report.polygons:,} polygons"] if asset.report.polygons else []
+        return ", ".join(_other_maps(asset, source) + polygons)
+    return ""
+
+
+def _other_maps(asset: Asset, source: ObjSource) -> list[str]:
+    return obj_source.other_maps(source, _painted(asset, image_files(asset, asset.path)))
+
+
+def check_room(asset: Asset, path: Path, beside: Sequence[Path] = ()) -> None:
+    """Raises ValueError where writing the asset to `path`, and files `beside` it, would harm others.
+
+    None may be one of the asset's own; and where its maps are to lie nothing else may.
+    """
+    source, files = asset.container, [path, *beside]
+    own = [asset.path, *(asset.path.parent / t.name for t in asset.textures if not t.flat)]
+    own += [Path(t.name) for t in asset.textures if not t.flat]  # one that was given stands where it was said
+    if path.suffix == ".obj":
+        files += [path.with_suffix(".mtl"), *map(path.with_name, image_files(asset, path).values())]
+    if isinstance(source, ObjSource):
+        own += [source.folder / name for name in (*source.libraries, *source.maps)]
+        if path.suffix == ".obj":
+            files += obj_source.library_files(source, path).values()
+            others = _other_maps(asset, source)
+            obj_source.check_maps(source, others, path.parent)
+            own += [path.parent / source.maps[name] for name in others]
+    taken = {file.resolve() for file in own}
+    for file in files:
+        if file.resolve() in taken:
+            raise ValueError(f"{file} would overwrite a file of {asset.path}; name another --out")
 
 
 def write_ply_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:

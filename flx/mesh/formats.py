@@ -1,7 +1,8 @@
 """The file formats: each reader turns a file into `Contents`, and judges nothing.
 
-`flx.mesh.gltf`, `obj` and `ply` take the files apart; here the images that a mesh names are looked up, and
-decoded by the caller. Texture coordinates run right and down in what is returned, whatever the format.
+`flx.mesh.gltf`, `obj`, `mtl` and `ply` take the files apart; here the images that a mesh names are
+looked up, and decoded by the caller. Texture coordinates run right and down in what is returned, whatever
+the format.
 """
 
 from collections.abc import Callable
@@ -12,7 +13,9 @@ from typing import NamedTuple
 from flx.mesh import gltf
 from flx.mesh.files import BadFile, inside, read_file
 from flx.mesh.gltf import Gltf, Material, Part
-from flx.mesh.obj import parse_mtl, parse_obj
+from flx.mesh.mtl import Mapped, parse_mtl
+from flx.mesh.obj import parse_obj
+from flx.mesh.obj_source import ObjSource, find_maps, read_libraries
 from flx.mesh.ply import parse_ply
 
 
@@ -23,9 +26,10 @@ class Contents(NamedTuple):
     materials: list[Material]
     load_image: Callable[[str], bytes]
     hint: str  # where a texture was looked for
-    container: Gltf | None
+    container: Gltf | ObjSource | None
     missing_images: tuple[str, ...]
     polygons: int = 0  # faces of more than three corners, cut
+    ignored_options: tuple[str, ...] = ()  # of map_Kd
 
 
 def _read_gltf(path: Path) -> Contents:
@@ -56,31 +60,37 @@ def _read_gltf(path: Path) -> Contents:
 
 
 def _read_obj(path: Path) -> Contents:
-    found = parse_obj(_read_text(path), path.stem)
-    defined: dict[str, Material] = {}
-    hint = "no material file, mtllib, is named" if not found.libraries else "no map_Kd in the material file"
-    for library in dict.fromkeys(found.libraries):
-        try:
-            defined |= parse_mtl(read_file(inside(path.parent, library)).decode(errors="replace"))
-        except FileNotFoundError:
-            hint = f"{path.parent / library} does not exist"
-    white = Material(path.stem, (1.0, 1.0, 1.0), None)
-    return Contents(
-        parts=found.parts,
-        materials=[defined.get(name, white._replace(name=name)) for name in found.names] + [white],
-        load_image=partial(_load_beside, path.parent),
-        hint=hint,
-        container=None,
-        missing_images=(),
-        polygons=found.polygons,
-    )
-
-
-def _read_text(path: Path) -> str:
     content = read_file(path)
     if b"\0" in content:
         raise BadFile("not a text, as an OBJ file is; export it again")
-    return content.decode("utf-8", errors="replace")
+    found = parse_obj(content.decode("utf-8-sig", errors="replace"), path.stem)
+    libraries, lost = read_libraries(path.parent, content)
+    maps, missing = find_maps(path.parent, libraries)
+    defined: dict[str, Mapped] = {}
+    for library in libraries.values():
+        defined |= parse_mtl(library)
+    hint = "no map_Kd in the material file" if libraries else "no material file, mtllib, is named"
+    white = Mapped(Material(path.stem, (1.0, 1.0, 1.0), None))
+    named = [defined.get(n, white._replace(material=white.material._replace(name=n))) for n in found.names]
+    mapped = [*named, white]
+    return Contents(
+        parts=[_moved(part, mapped[part.material]) for part in found.parts],
+        materials=[each.material for each in mapped],
+        load_image=partial(_load_beside, path.parent),
+        hint=f"{path.parent / lost[-1]} does not exist" if lost else hint,
+        container=ObjSource(path.parent, content, libraries, maps, found.rows, found.colors),
+        missing_images=tuple(missing),
+        polygons=found.polygons,
+        ignored_options=tuple(f"{m.material.name}: {option}" for m in mapped for option in m.options),
+    )
+
+
+def _moved(part: Part, mapped: Mapped) -> Part:
+    """The part with its texture coordinates as `-s` and `-o` of its image place them; v runs up there."""
+    if part.uvs is None or (mapped.scale, mapped.offset) == ((1.0, 1.0), (0.0, 0.0)):
+        return part
+    flip = [1, -1] * part.uvs + [0, 1]
+    return part._replace(uvs=(flip * mapped.scale + mapped.offset) * [1, -1] + [0, 1])
 
 
 def _read_ply(path: Path) -> Contents:

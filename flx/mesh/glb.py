@@ -129,6 +129,15 @@ def _images_of_other_slots(document: dict, slots: Sequence[dict]) -> set[int]:
     return found
 
 
+def other_images(gltf: Gltf) -> list[str]:
+    """The images that a file shows besides base colours, by name."""
+    document = gltf.document
+    slots = [base_slot(material) for material in document.get("materials", [])]
+    images = document.get("images", [])
+    others = sorted(i for i in _images_of_other_slots(document, slots) if i >= 0)
+    return [str(images[i].get("name") or images[i].get("uri") or f"image {i}") for i in others]
+
+
 def _put_image(document: dict, views: list[bytes], image: int, png: bytes) -> None:
     """The PNG in the image's place; its buffer view is reused where nobody else reads it."""
     entry = document["images"][image]

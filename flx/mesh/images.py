@@ -1,4 +1,4 @@
-"""Encoded images → pixels: 8-bit RGB, and alpha beside it.
+"""Encoded images → pixels: 8-bit RGB, and alpha beside it; and back, as PNG.
 
 Decoded at once, never lazily, and not before the number of pixels in the header is known to be bearable.
 Formats are named one by one: Pillow knows some (EPS) that start other programs.
@@ -23,6 +23,8 @@ REFUSED = {
     b"#?RADIANCE": "HDR",
     b"\x76\x2f\x31\x01": "EXR",
 }
+TIFF_BITS, TIFF_PLANES = 258, 284  # tags
+KINDS = {"RGBA": "RGB", "L": "grey", "LA": "grey", "I;16": "grey", "1": "black and white", "P": "palette"}
 
 
 def open_image(content: bytes, name: str) -> Image.Image:
@@ -56,6 +58,9 @@ def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[
     Raises BadFile as `open_image` does, and for what Pillow cannot decode.
     """
     image = open_image(content, name)
+    tags = getattr(image, "tag_v2", {})
+    if tags.get(TIFF_PLANES) == 2 and max(tags.get(TIFF_BITS, (8,))) > 8:  # Pillow reads them as 8 bits
+        raise BadFile(f"image {name!r} is a TIFF of 16-bit planes; save it as PNG")
     try:
         image.load()
     except Exception as fault:  # a decoder may raise anything
@@ -71,6 +76,24 @@ def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[
         alpha = np.asarray(image)[..., 3].copy()
         alpha = None if (alpha == 255).all() else alpha
     return np.array(image.convert("RGB")), alpha
+
+
+def told_of(content: bytes, name: str) -> str:
+    """What an image has that 8-bit RGB (and alpha, which is kept) has not: "" or, say, "16-bit grey"."""
+    image = open_image(content, name)
+    bits = "16-bit " if ";16" in str(getattr(image, "tile", "")) else ""
+    kind = KINDS.get(image.mode, image.mode)
+    return "" if f"{bits}{kind}" == "RGB" else f"{bits}{kind}"
+
+
+def encode_png(image: UInt8[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:
+    """A PNG; `alpha`, of any size, makes it RGBA."""
+    picture = Image.fromarray(image)
+    if alpha is not None:
+        picture.putalpha(Image.fromarray(alpha).resize(picture.size, Image.Resampling.BILINEAR))
+    content = io.BytesIO()
+    picture.save(content, format="PNG")
+    return content.getvalue()
 
 
 def check_together(contents: Mapping[str, bytes]) -> None:

@@ -1,8 +1,9 @@
-"""Wavefront OBJ and MTL taken apart: text → triangles by material.
+"""Wavefront OBJ taken apart: text → triangles by material.
 
 Our own reader. trimesh's drops rows that it does not understand, wraps indices that are out of range and
 leaves quadrangles to its mesh class; here every number is read, or the file is refused. Polygons are cut into
 fans; relative indices count from their own line; corners that differ in v, vt or vn are different vertices.
+`flx.mesh.mtl` reads the materials, `flx.mesh.obj_source` keeps the text and writes it again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int
 
 from flx.mesh.files import BadFile, check_faces, numbers
-from flx.mesh.gltf import Material, Part
+from flx.mesh.gltf import Part
 from flx.mesh.rows import distinct_rows
 
 PIECE = 1 << 20  # characters cut into lines at a time
@@ -22,11 +23,12 @@ OMITTED = 1 << 62  # stands for the vt of `1//2`
 
 
 class Obj(NamedTuple):
-    """An OBJ file: its parts, the materials they name by number, and the MTL files it refers to."""
+    """An OBJ file: its parts, and the materials they name by number."""
 
     parts: list[Part]
     names: list[str]  # `Part.material` is an index here, `len(names)` before any usemtl
-    libraries: list[str]
+    rows: Int[Any, "V"]  # the v, from 0, of each vertex of the parts in turn
+    colors: Float64[Any, "P 3"] | None  # of every v, as the file counts them
     polygons: int  # faces of more than three corners
 
 
@@ -55,12 +57,14 @@ def parse_obj(text: str, name: str) -> Obj:
     triangles, owners = fans(sizes)
 
     numbered: dict[str, int] = {}
-    of_use = [numbered.setdefault(row.strip(), len(numbered)) for row in uses.rows]
+    of_use = [numbered.setdefault(" ".join(row.split()), len(numbered)) for row in uses.rows]
     if len(numbered) > MOST_MATERIALS:
         raise BadFile(f"{len(numbered):,} materials, more than {MOST_MATERIALS:,}; join some")
     of_face = np.array([len(numbered), *of_use])[np.searchsorted(uses.places, faces.places)]
     del lines["v"], lines["vt"], lines["vn"], lines["f"], faces  # words take more memory than numbers
-    names, parts = list(numbered), []
+    names, parts, used_rows = list(numbered), [], []
+    counted = points[:, 3:6] if points.shape[1] >= 6 else None
+    colors = None if counted is None else colors_of(counted)
     of_triangle = of_face[owners]
     order = np.argsort(of_triangle, kind="stable")
     used, starts = np.unique(of_triangle[order], return_index=True)
@@ -68,6 +72,7 @@ def parse_obj(text: str, name: str) -> Obj:
     for material, members in zip(used.tolist(), groups, strict=True):
         rows, part_faces = unmerge(corners[triangles[members]].reshape(-1, 3))
         v, vt, vn = rows.T
+        used_rows.append(v)
         parts.append(
             Part(
                 name=[*names, name][material],
@@ -75,11 +80,12 @@ def parse_obj(text: str, name: str) -> Obj:
                 positions=points[v, :3],
                 normals=None if (vn == OMITTED).any() else normals[vn, :3],
                 uvs=None if (vt == OMITTED).any() else uvs[vt, :2] * [1, -1] + [0, 1],
-                colors=colors_of(points[v, 3:6]) if points.shape[1] >= 6 else None,
+                colors=None if colors is None else colors[v],
                 faces=part_faces,
             )
         )
-    return Obj(parts, names, [row.strip() for row in lines["mtllib"].rows], int((sizes > 3).sum()))
+    used_rows = np.concatenate([[], *used_rows]).astype(np.int64)
+    return Obj(parts, names, used_rows, counted, int((sizes > 3).sum()))
 
 
 KINDS = (("v", 3), ("vt", 2), ("vn", 3))  # with the fewest numbers of a row
@@ -87,13 +93,13 @@ KINDS = (("v", 3), ("vt", 2), ("vn", 3))  # with the fewest numbers of a row
 
 def _split(text: str) -> dict[str, Lines]:
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
-    rows: dict[str, list[str]] = {key: [] for key in ("v", "vt", "vn", "f", "usemtl", "mtllib")}
+    rows: dict[str, list[str]] = {key: [] for key in ("v", "vt", "vn", "f", "usemtl")}
     places: dict[str, list[int]] = {key: [] for key in rows}
     for place, line in enumerate(_lines(text), 1):
         key, *rest = line.split(None, 1)[:2] or [""]
         if key in rows:
             row = rest[0] if rest else ""
-            rows[key].append(row if key in ("usemtl", "mtllib") else row.partition("#")[0])
+            rows[key].append(row if key == "usemtl" else row.partition("#")[0])
             places[key].append(place)
     return {key: Lines(rows[key], np.array(places[key], np.int64)) for key in rows}
 
@@ -178,23 +184,10 @@ def unmerge(corners: Int[Any, "C K"]) -> tuple[Int[Any, "R K"], Int[Any, "F 3"]]
 
 
 def colors_of(values: Float64[Any, "N 3"]) -> Float32[Any, "N 3"]:
-    """Colours in [0, 1], whether the file counts to 1 or, as some do, to 255."""
-    return (values / (255 if values.max(initial=0) > 1 else 1)).clip(0, 1).astype(np.float32)
+    """Colours in [0, 1] of all that a file has, whether it counts to 1 or, as some do, to 255."""
+    return (values / color_scale(values)).clip(0, 1).astype(np.float32)
 
 
-def parse_mtl(text: str) -> dict[str, Material]:
-    """Materials by name: their diffuse colour and its image, read as sRGB."""
-    materials: dict[str, Material] = {}
-    name = ""
-    for key, *values in (line.split() for line in text.splitlines() if line.strip()):
-        if key.lower() == "newmtl":
-            name = " ".join(values)
-            materials[name] = Material(name, (1.0, 1.0, 1.0), None)
-        elif key.lower() == "kd" and name and len(values) >= 3:
-            r, g, b = np.nan_to_num(numbers(" ".join(values[:3]))).clip(0, 1).tolist()
-            materials[name] = materials[name]._replace(color=(r, g, b))
-        elif key.lower() == "map_kd" and name and values:
-            # Options (-s 1 1 1) come first; a name may hold spaces.
-            image = values[-1] if values[0].startswith("-") else " ".join(values)
-            materials[name] = materials[name]._replace(image=image)
-    return materials
+def color_scale(values: Float64[Any, "N 3"]) -> int:
+    """What white is in a file that has these colours: 1 or 255."""
+    return 255 if np.fmax.reduce(values, axis=None, initial=0) > 1 else 1

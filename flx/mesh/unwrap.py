@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from flx.mesh.assets import Asset, Texture
-from flx.mesh.gltf import Part, accessor
+from flx.mesh.gltf import Gltf, Part, accessor
 from flx.mesh.texels import atlas_texels, paint, surface_colors
 
 INSTALL = "pip install 'flx[uv]'"
@@ -13,8 +13,10 @@ PADDING = 4  # texels between charts on a texture of about 1024²: seams stay cl
 
 def is_unwrappable(asset: Asset) -> bool:
     """Vertex colours, and a file that holds nothing which a new one would lose: no foreign glTF."""
-    made_here = asset.container is None or asset.container.document["asset"].get("generator") == "flx"
-    return not asset.textures and made_here
+    foreign = (
+        isinstance(asset.container, Gltf) and asset.container.document["asset"].get("generator") != "flx"
+    )
+    return not asset.textures and not foreign
 
 
 def unwrapped(asset: Asset) -> Asset:
@@ -81,7 +83,7 @@ def _split(
 
 
 def _normals(asset: Asset, part: Part) -> Float64[np.ndarray, "V 3"] | None:
-    if asset.container is None:
+    if not isinstance(asset.container, Gltf):
         return part.normals
     node, primitive = part.origin
     document = asset.container.document

@@ -12,8 +12,9 @@ from PIL import Image
 
 from flx.mesh.assets import Asset, write_glb, write_glb_colors
 from flx.mesh.copies import queries_at, transfer
-from flx.mesh.exports import write_obj, write_obj_colors, write_ply_colors
+from flx.mesh.exports import check_room, left_behind, write_obj, write_obj_colors, write_ply_colors
 from flx.mesh.files import write_atomically
+from flx.mesh.obj_source import ObjSource
 from flx.mesh.render import contact_sheet, look, show
 from flx.mesh.tangent import tangent_frames
 from flx.mesh.texels import Atlas, atlas_texels, fill_gutter, quantized
@@ -139,16 +140,31 @@ def shown(asset: Asset, baked: Baked) -> TexturedMesh:
     return asset.mesh._replace(corner_colors=baked.colors[asset.corner_vertices])
 
 
-def prepared_for(asset: Asset, format: Format) -> Asset:
-    """The asset, with an atlas where it has vertex colours and `format` and installation allow one.
+def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Sequence[Path] = ()) -> None:
+    """Before anything is paid for: can the asset be written to `paths`, with other files `beside` it? Says on
+    stderr what stays behind.
 
-    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures.
+    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures; and where
+    files of the asset itself would be overwritten.
     """
     if format == "ply" and asset.textures:
         raise ValueError(
             f"{asset.path} has textures, a PLY has colours of vertices; take --format glb or obj"
         )
-    if format == "ply" or not is_unwrappable(asset):
+    for path in paths:
+        check_room(asset, path, beside)
+    if left := left_behind(asset, format):
+        kept = "obj" if isinstance(asset.container, ObjSource) else "glb"
+        print(f"{asset.path}: {left} stay behind; --format {kept} keeps all", file=sys.stderr)
+
+
+def prepared_for(asset: Asset, format: Format) -> Asset:
+    """The asset, with an atlas where it has vertex colours and `format` and installation allow one.
+
+    An OBJ that goes out as OBJ stays as it is, for an atlas needs other rows.
+    """
+    stays = format == "obj" and isinstance(asset.container, ObjSource)
+    if format == "ply" or stays or not is_unwrappable(asset):
         return asset
     if importlib.util.find_spec("xatlas") is None:
         print(f"{asset.path}: new colours go to its vertices; {INSTALL} for an atlas", file=sys.stderr)

@@ -24,6 +24,7 @@ from flx.pipeline.bake import (
     Format,
     bake,
     bake_back,
+    check_output,
     open_canvas,
     prepared_for,
     resized,
@@ -53,7 +54,10 @@ def reconstruct(
     """
     judges = installed_judges()
     began = time.monotonic()
-    asset, codec = read_asset(mesh, texture), load_codec(weights)
+    asset = read_asset(mesh, texture)
+    out = out or Path(f"{mesh.stem}-{vertices}")
+    check_output(asset, format, [out / f"reconstruction.{format}"], [out / "side_by_side.png"])
+    codec = load_codec(weights)
     surface = Surface(vertices=vertices, seed=seed)
     copy = make_copy(with_filled_gutters(asset.mesh), vertices, codec.config.samples, surface.slots, seed)
     asset = prepared_for(asset, format)
@@ -61,7 +65,6 @@ def reconstruct(
     baked = bake(canvas, codec, codec.encode(copy.rings))
     seconds = time.monotonic() - began
 
-    out = out or Path(f"{mesh.stem}-{vertices}")
     metrics = {
         "mesh": str(mesh),
         "vertices": vertices,
@@ -73,7 +76,7 @@ def reconstruct(
         "peak_bytes": peak_bytes(),
     }
     write_baked(asset, baked, out / f"reconstruction.{format}")
-    for index, image in enumerate(baked.images):
+    for index, image in enumerate(baked.images if format != "obj" else ()):  # an OBJ has its own
         write_png(out / (f"reconstruction_{index}.png" if index else "reconstruction.png"), image)
     write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], up, 512))
     write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())

@@ -4,7 +4,6 @@ import hashlib
 import sys
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import jax
@@ -14,19 +13,17 @@ from jax import Array
 from jaxtyping import Complex64
 from tqdm import tqdm
 
-from flx.config import FLDM, Experiment, FLDMExperiment, FLVAEExperiment, Surface
+from flx.config import FLDM, Experiment, FLDMExperiment, FLVAEExperiment
 from flx.fields import ddpm
 from flx.fields.algebra import squared_modulus, tangent_noise
-from flx.mesh.assets import Asset, read_asset
 from flx.mesh.tables import stack
-from flx.mesh.vase import write_vase
 from flx.models import frame
 from flx.models.denoiser import Denoiser, blocks_for, denoise, reach, schedule
 from flx.models.mixed import MixedDenoiser
 from flx.models.vae import FieldLatentVAE, check, flvae_loss
-from flx.pipeline.bake import bake_back, write_baked
 from flx.pipeline.codec import Codec, initial_params, load_codec, save_codec
 from flx.pipeline.images import VERTICES, ImagePatches, PatchBatch, first_rings
+from flx.pipeline.kept import keep, read_source
 from flx.pipeline.prepare import Cache, Prepared, open_cache, prepare
 from flx.pipeline.runs import Run, open_run
 from flx.pipeline.train import LossFn, train
@@ -101,9 +98,7 @@ def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
     codec = load_codec(experiment.weights)
     fingerprint = hashlib.sha256((asset.digest + codec.digest()).encode()).hexdigest()
     run = open_run(root, experiment, fingerprint)
-    if not asset_file(run).exists():
-        write_baked(asset, bake_back(asset), asset_file(run))
-    asset = read_asset(asset_file(run))  # what sampling will read
+    asset = keep(asset, run, surface)
     cache = open_cache(run.prepared, asset, surface, codec)
     prepare(cache, asset, surface, codec)
     copies = load_copies(cache, experiment)
@@ -125,20 +120,6 @@ def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
     params = jax.jit(network.init)(jax.random.key(config.seed), first.tables, first.latents, jnp.float32(1))
     train(run, config, params, diffusion_loss(experiment.model, network), batches)
     return run
-
-
-def read_source(surface: Surface) -> Asset:
-    """The asset that the experiment names, or the embedded vase."""
-    if surface.path:
-        return read_asset(surface.path, surface.texture)
-    with TemporaryDirectory() as folder:
-        write_vase(Path(folder) / "vase.glb")
-        return read_asset(Path(folder) / "vase.glb")
-
-
-def asset_file(run: Run) -> Path:
-    """The run's own copy of its asset: one self-contained file."""
-    return run.asset / "asset.glb"
 
 
 def load_copies(cache: Cache, experiment: FLDMExperiment) -> list[Prepared]:

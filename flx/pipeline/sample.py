@@ -12,7 +12,6 @@ from tqdm import tqdm
 from flx.config import FLDMExperiment
 from flx.fields import ddpm
 from flx.fields.algebra import tangent_noise
-from flx.mesh.assets import read_asset
 from flx.mesh.files import write_atomically
 from flx.mesh.seams import seam_ratio
 from flx.models.denoiser import denoise, schedule
@@ -20,6 +19,7 @@ from flx.pipeline.bake import (
     Baked,
     Format,
     bake,
+    check_output,
     open_canvas,
     prepared_for,
     shown,
@@ -28,7 +28,8 @@ from flx.pipeline.bake import (
     write_png,
 )
 from flx.pipeline.codec import load_codec
-from flx.pipeline.learn import asset_file, denoiser, latent_scaling, load_copies
+from flx.pipeline.kept import read_kept
+from flx.pipeline.learn import denoiser, latent_scaling, load_copies
 from flx.pipeline.prepare import open_cache, prepare
 from flx.pipeline.runs import Run, load_config
 from flx.pipeline.train import restore
@@ -55,7 +56,10 @@ def sample(
     if not isinstance(experiment, FLDMExperiment):
         raise ValueError(f"{folder} is the run of an FL-VAE; sample one of `flx train experiments/demo.py`")
     run, surface = Run(folder), experiment.surface
-    asset, codec = read_asset(asset_file(run)), load_codec(experiment.weights)
+    asset, out = read_kept(run, surface), out or run.samples
+    files = [out / f"variation_{n:02d}.{format}" for n in range(count)]
+    check_output(asset, format, files, [out / "contact_sheet.png"])
+    codec = load_codec(experiment.weights)
     cache = open_cache(run.prepared, asset, surface, codec)
     prepare(cache, asset, surface, codec)
     copies = load_copies(cache, experiment)
@@ -74,14 +78,13 @@ def sample(
 
     asset = prepared_for(asset, format)
     canvas = open_canvas(asset, home.triangulation, texture_size)
-    out = out or run.samples
     variations: list[Baked] = []
     for n in tqdm(range(count), desc="variations", unit="texture", dynamic_ncols=True):
         key = jax.random.fold_in(jax.random.key(seed), n)
         z = np.asarray(draw(state.ema, home.tables, key))
         baked = bake(canvas, codec, scaling.to_latents(z))
-        write_baked(asset, baked, out / f"variation_{n:02d}.{format}")
-        for k, image in enumerate(baked.images):
+        write_baked(asset, baked, files[n])
+        for k, image in enumerate(baked.images if format != "obj" else ()):  # an OBJ has its own
             if not asset.textures[k].flat:
                 suffix = f"_{k}" if len(baked.images) > 1 else ""
                 write_png(out / f"variation_{n:02d}{suffix}.png", image)
@@ -97,7 +100,7 @@ def sample(
         "vertices": surface.vertices,
         "seam_ratios": [seam_ratio(shown(asset, baked)) for baked in variations],
         "seam_ratio_input": seam_ratio(asset.mesh),
-        "files": [f"variation_{n:02d}.{format}" for n in range(count)],
+        "files": [file.name for file in files],
     }
     write_atomically(out / "samples.json", (json.dumps(record, indent=2) + "\n").encode())
     return out
