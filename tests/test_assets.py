@@ -14,8 +14,8 @@ from PIL import Image
 
 from flx.mesh.assets import Asset, read_asset, write_glb, write_glb_colors
 from flx.mesh.doctor import describe
-from flx.mesh.gltf import accessor, read_gltf
-from flx.mesh.images import decode_image
+from flx.mesh.formats.gltf import accessor, read_gltf
+from flx.mesh.formats.images import decode_image
 
 # A tetrahedron whose second half has another material; v/vt differ, so that texture seams split vertices.
 OBJ = """mtllib m.mtl

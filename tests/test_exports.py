@@ -11,7 +11,7 @@ from shapes import icosphere
 
 from flx.mesh.assets import read_asset, write_glb, write_glb_colors
 from flx.mesh.exports import write_obj, write_obj_colors, write_ply_colors
-from flx.mesh.gltf import read_gltf
+from flx.mesh.formats.gltf import read_gltf
 from flx.mesh.seams import seam_ratio
 from flx.mesh.texels import atlas_texels, surface_colors
 from flx.mesh.unwrap import is_unwrappable, unwrapped
@@ -104,7 +104,7 @@ def test_a_glb_goes_out_as_an_obj_where_its_nodes_put_it(tmp_path):
     write_glb(asset := read_asset(textured(tmp_path)), asset.mesh.textures, tmp_path / "a.glb")
     moved = read_gltf(tmp_path / "a.glb")
     moved.document["nodes"][0]["translation"] = [1, 2, 3]
-    from flx.mesh.glb import glb_bytes
+    from flx.mesh.formats.glb import glb_bytes
 
     (tmp_path / "b.glb").write_bytes(glb_bytes(moved))
     source = read_asset(tmp_path / "b.glb")

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.mesh.assets import read_asset
-from flx.mesh.obj import fans, parse_obj
-from flx.mesh.ply import parse_ply
+from flx.mesh.formats.obj import fans, parse_obj
+from flx.mesh.formats.ply import parse_ply
 
 HEAD = PLY[: PLY.index("end_header")]
 
@@ -62,7 +62,7 @@ def test_obj_has_many_spellings(rewrite):
 
 @pytest.mark.parametrize("piece", [0, 1, 7, 60])
 def test_lines_keep_their_numbers_wherever_the_text_is_cut(piece, monkeypatch):
-    monkeypatch.setattr("flx.mesh.obj.PIECE", piece)
+    monkeypatch.setattr("flx.mesh.formats.obj.PIECE", piece)
     text = OBJ.replace("f 1/1 2/2", "\n\nf 1/1 2/2")
     assert np.array_equal(corners(parse_obj(text, "a").parts), corners(parse_obj(OBJ, "a").parts))
     with pytest.raises(ValueError, match="line 14 names v 9"):

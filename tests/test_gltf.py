@@ -13,9 +13,9 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from flx.mesh.assets import read_asset, write_glb, write_glb_colors
-from flx.mesh.files import write_atomically
-from flx.mesh.glb import glb_bytes, replace_base_color
-from flx.mesh.gltf import Gltf, accessor, image_bytes, linear, parts, read_gltf, srgb
+from flx.mesh.formats.files import write_atomically
+from flx.mesh.formats.glb import glb_bytes, replace_base_color
+from flx.mesh.formats.gltf import Gltf, accessor, image_bytes, linear, parts, read_gltf, srgb
 from flx.pipeline.bake import check_output
 
 

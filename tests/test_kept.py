@@ -12,7 +12,7 @@ from test_obj_source import CUBE, colored, saved
 from flx.config import Surface
 from flx.mesh.assets import Asset, write_glb, write_glb_colors
 from flx.mesh.exports import write_obj
-from flx.mesh.obj_source import ObjSource
+from flx.mesh.formats.obj_source import ObjSource
 from flx.pipeline.kept import keep, read_kept, read_source
 from flx.pipeline.runs import Run
 
@@ -144,7 +144,8 @@ def test_a_copy_that_was_killed_is_made_again(tmp_path, monkeypatch):
     surface, run = Surface(path=str(saved(tmp_path / "in"))), Run(tmp_path / "run")
     asset = read_source(surface)
     with monkeypatch.context() as patch:
-        patch.setattr("flx.mesh.obj_source._naming", lambda *_: 1 / 0)  # maps and MTL are there, the OBJ not
+        # Maps and MTL are there, the OBJ is not.
+        patch.setattr("flx.mesh.formats.obj_source._naming", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             keep(asset, run, surface)
     assert (run.asset / "files" / "cube.mtl").exists()

@@ -11,8 +11,8 @@ from PIL import Image
 
 from flx.mesh.assets import Asset, read_asset, write_glb
 from flx.mesh.exports import check_room, left_behind, write_obj, write_obj_colors
-from flx.mesh.mtl import files_named, parse_mtl, renamed, repainted
-from flx.mesh.obj_source import ObjSource, write_copy
+from flx.mesh.formats.mtl import files_named, parse_mtl, renamed, repainted
+from flx.mesh.formats.obj_source import ObjSource, write_copy
 from flx.pipeline.bake import check_output, prepared_for
 
 # A cube of quads, a triangle pair and two materials; one face goes on in the next line.

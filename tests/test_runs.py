@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.config import FLDM, FLVAE, FLDMExperiment, FLVAEExperiment, Surface, Train
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 from flx.pipeline.runs import load_config, load_fingerprint, only_trainer, open_run
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

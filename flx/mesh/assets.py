@@ -2,8 +2,8 @@
 new colours.
 
 `flx.mesh.formats` reads the file, `flx.mesh.repair` makes a manifold of it and counts what it does,
-`flx.mesh.glb` and `exports` write. Original rows are kept in `Asset.parts`: what is written is the file's own
-geometry, never the repaired one.
+`formats.glb` and `flx.mesh.exports` write. Original rows are kept in `Asset.parts`: what is written is the
+file's own geometry, never the repaired one.
 
 Texture coordinates run right and down. Images become 8-bit RGB; alpha is kept aside for the output. Factors
 that multiply a texture are ignored, and left as they are.
@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt8
 
-from flx.mesh import glb
-from flx.mesh.files import BadFile, read_file, write_atomically
-from flx.mesh.formats import READERS, Contents
-from flx.mesh.gltf import Gltf, Paint, Part
-from flx.mesh.images import check_together, decode_image, encode_png, told_of
-from flx.mesh.obj_source import ObjSource
+from flx.mesh.formats import glb
+from flx.mesh.formats.files import BadFile, read_file, write_atomically
+from flx.mesh.formats.gltf import Gltf, Paint, Part
+from flx.mesh.formats.images import check_together, decode_image, encode_png, told_of
+from flx.mesh.formats.obj_source import ObjSource
+from flx.mesh.formats.readers import READERS, Contents
 from flx.mesh.repair import Repaired, repair
 from flx.types import TexturedMesh
 

@@ -1,6 +1,6 @@
 """An asset with new colours as OBJ (with MTL and PNG) or PLY.
 
-What came as OBJ goes out as the same OBJ (`flx.mesh.obj_source`). All else is written anew from the triangles
+What came as OBJ goes out as the same OBJ (`formats.obj_source`). All else is written anew from the triangles
 and coordinates of its parts: names of parts and materials are kept, node transforms are applied, numbers are
 exact. What the formats cannot say (other maps, extras, alpha of vertices) stays behind; a GLB keeps it. Every
 file is there whole or not at all, and the OBJ comes last: it never names what is not there yet.
@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Num, UInt8
 
-from flx.mesh import obj_source
 from flx.mesh.assets import Asset
-from flx.mesh.files import write_atomically
-from flx.mesh.glb import other_images
-from flx.mesh.gltf import Gltf
-from flx.mesh.images import encode_png
-from flx.mesh.obj_source import ObjSource
-from flx.mesh.texels import quantized
+from flx.mesh.formats import obj_source
+from flx.mesh.formats.files import write_atomically
+from flx.mesh.formats.glb import other_images
+from flx.mesh.formats.gltf import Gltf
+from flx.mesh.formats.images import encode_png, quantized
+from flx.mesh.formats.obj_source import ObjSource
 
 BLOCK = 1 << 14  # rows written at a time
 

@@ -17,7 +17,7 @@ from jaxtyping import Complex128, Float64, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 from flx.mesh.tangent import TangentFrames, mean_vertex_radius, tangent_frames, transports, vertex_masses
 from flx.types import MeshTables, OneRings, Pooling, Triangulation
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt8
 from scipy.ndimage import distance_transform_edt
 
+from flx.mesh.formats.images import quantized
 from flx.mesh.raster import CHUNK, Pixels, Planes, barycentric_planes, expand, pixels_inside
 from flx.types import SurfacePoints, TexturedMesh, Triangulation
 
@@ -257,11 +258,6 @@ def paint(
     covered = atlas.covered
     image[covered] = quantized(colors)
     return fill_gutter(image, covered)
-
-
-def quantized(colors: Float32[Any, "P 3"]) -> UInt8[Any, "P 3"]:
-    """Colours as a texture holds them: clipped to [0, 1], 8 bits."""
-    return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 
 # --- points of another surface, points of one-rings

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float64, Int
 from scipy.spatial import Delaunay, KDTree
 
-from flx.mesh.finishing import finish
-from flx.mesh.operators import ASK_ALL, collapse, flip, split
-from flx.mesh.smoothing import Surface, smooth
+from flx.mesh.remesh.finishing import finish
+from flx.mesh.remesh.operators import ASK_ALL, collapse, flip, split
+from flx.mesh.remesh.smoothing import Surface, smooth
 from flx.mesh.topology import edge_lengths, invariants, mark, topology
 from flx.mesh.vectors import area_normals, length_of, sum_at
 from flx.types import Triangulation

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from flx.mesh.assets import Asset, Texture
-from flx.mesh.gltf import Gltf, Part, accessor
+from flx.mesh.formats.gltf import Gltf, Part, accessor
 from flx.mesh.texels import atlas_texels, paint, surface_colors
 
 INSTALL = "pip install 'flx[uv]'"

@@ -13,11 +13,12 @@ from PIL import Image
 from flx.mesh.assets import Asset, write_glb, write_glb_colors
 from flx.mesh.copies import queries_at, transfer
 from flx.mesh.exports import check_room, left_behind, write_obj, write_obj_colors, write_ply_colors
-from flx.mesh.files import write_atomically
-from flx.mesh.obj_source import ObjSource
+from flx.mesh.formats.files import write_atomically
+from flx.mesh.formats.images import quantized
+from flx.mesh.formats.obj_source import ObjSource
 from flx.mesh.render import contact_sheet, look, show
 from flx.mesh.tangent import tangent_frames
-from flx.mesh.texels import Atlas, atlas_texels, fill_gutter, quantized
+from flx.mesh.texels import Atlas, atlas_texels, fill_gutter
 from flx.mesh.unwrap import INSTALL, is_unwrappable, unwrapped
 from flx.pipeline.codec import Codec
 from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation

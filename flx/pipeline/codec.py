@@ -17,7 +17,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from flx.config import FLVAE
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 from flx.models.vae import FieldLatentVAE
 from flx.types import Queries, RingSamples
 

@@ -14,7 +14,7 @@ from skimage.metrics import structural_similarity
 from flx.config import Surface
 from flx.mesh.assets import read_asset
 from flx.mesh.copies import make_copy
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 from flx.mesh.seams import seam_ratio
 from flx.mesh.texels import fill_gutter, with_filled_gutters
 from flx.mesh.timings import peak_bytes

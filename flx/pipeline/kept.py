@@ -8,11 +8,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flx.config import Surface
-from flx.mesh import glb
 from flx.mesh.assets import Asset, read_asset
-from flx.mesh.files import inside, read_file, write_atomically
-from flx.mesh.gltf import Gltf
-from flx.mesh.obj_source import ObjSource, write_copy
+from flx.mesh.formats import glb
+from flx.mesh.formats.files import inside, read_file, write_atomically
+from flx.mesh.formats.gltf import Gltf
+from flx.mesh.formats.obj_source import ObjSource, write_copy
 from flx.mesh.vase import write_vase
 from flx.pipeline.runs import Run
 

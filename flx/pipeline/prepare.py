@@ -15,7 +15,7 @@ from tqdm import tqdm
 from flx.config import Surface
 from flx.mesh import copies
 from flx.mesh.assets import Asset
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 from flx.mesh.tables import load_tables, save_tables
 from flx.mesh.texels import with_filled_gutters
 from flx.pipeline.codec import Codec

@@ -18,7 +18,7 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from flx.config import Experiment, FLDMExperiment, FLVAEExperiment
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 
 STEERING = ("train.steps", "train.log_every", "train.checkpoint_every")  # may change between calls
 _KINDS = {kind.__name__: kind for kind in (FLVAEExperiment, FLDMExperiment)}

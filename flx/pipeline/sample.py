@@ -12,7 +12,7 @@ from tqdm import tqdm
 from flx.config import FLDMExperiment
 from flx.fields import ddpm
 from flx.fields.algebra import tangent_noise
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 from flx.mesh.seams import seam_ratio
 from flx.models.denoiser import denoise, schedule
 from flx.pipeline.bake import (

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from flx.config import Compared
 from flx.mesh.assets import Asset, read_asset
 from flx.mesh.copies import sample_rings
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 from flx.mesh.texels import with_filled_gutters
 from flx.mesh.triangulations import remesh
 from flx.pipeline.bake import chunks, open_canvas, painted, write_png

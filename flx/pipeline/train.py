@@ -28,7 +28,7 @@ from tensorboardX import SummaryWriter
 from tqdm import tqdm
 
 from flx.config import Train
-from flx.mesh.files import write_atomically
+from flx.mesh.formats.files import write_atomically
 from flx.pipeline.checkpoint import Checkpoints
 from flx.pipeline.runs import Run, only_trainer
 

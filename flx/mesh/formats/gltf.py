@@ -7,7 +7,7 @@ that need not be: what this project does not know (extras, extensions, animation
 Our own reader, not trimesh's, for three reasons: a material must be known by its index to be patched,
 texture coordinates must be the file's own bits (trimesh's flip rounds them), and `texCoord` sets,
 KHR_texture_transform and normalised integers are ignored there. COLOR_0 is linear light in the file
-(glTF 2.0, section 3.7.2.1), sRGB here. `flx.mesh.glb` patches and writes.
+(glTF 2.0, section 3.7.2.1), sRGB here. `flx.mesh.formats.glb` patches and writes.
 """
 
 import base64
@@ -21,8 +21,8 @@ from urllib.parse import unquote_to_bytes
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Num
 
-from flx.mesh.files import BadFile, check_faces, inside, read_file
-from flx.mesh.schema import check_document
+from flx.mesh.formats.files import BadFile, check_faces, inside, read_file
+from flx.mesh.formats.schema import check_document
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}

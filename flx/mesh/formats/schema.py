@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from flx.mesh.files import BadFile
+from flx.mesh.formats.files import BadFile
 
 Rule = Callable[[Any, str, dict], None]
 

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from flx.mesh.files import BadFile, inside, limit, read_file, write_atomically
-from flx.mesh.mtl import (
+from flx.mesh.formats.files import BadFile, inside, limit, read_file, write_atomically
+from flx.mesh.formats.images import quantized
+from flx.mesh.formats.mtl import (
     edited,
     files_named,
     line_end,
@@ -27,8 +28,7 @@ from flx.mesh.mtl import (
     repainted,
     statements,
 )
-from flx.mesh.obj import color_scale
-from flx.mesh.texels import quantized
+from flx.mesh.formats.obj import color_scale
 
 # What other programs read as a map; flx itself reads fewer kinds.
 SUFFIXES = (".png", ".jpg", ".jpeg", ".jp2", ".webp", ".bmp", ".tga", ".tif", ".tiff")

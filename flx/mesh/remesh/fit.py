@@ -9,9 +9,9 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.mesh.features import features
-from flx.mesh.smoothing import Surface
-from flx.mesh.stars import sharpest_cosines
+from flx.mesh.remesh.features import features
+from flx.mesh.remesh.smoothing import Surface
+from flx.mesh.remesh.stars import sharpest_cosines
 from flx.mesh.topology import any_of, mark, topology
 from flx.mesh.vectors import area_normals, dot, sum_at, unit
 from flx.types import Triangulation

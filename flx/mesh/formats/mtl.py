@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flx.mesh.files import BadFile, numbers
-from flx.mesh.gltf import Material
+from flx.mesh.formats.files import BadFile, numbers
+from flx.mesh.formats.gltf import Material
 
 STATEMENT = re.compile(
     rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t\v\f]*+(?P<key>[^\s#]\S*+)[ \t\v\f]*+(?P<value>[^\r\n]*+)"

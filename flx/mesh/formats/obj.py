@@ -3,7 +3,7 @@
 Our own reader. trimesh's drops rows that it does not understand, wraps indices that are out of range and
 leaves quadrangles to its mesh class; here every number is read, or the file is refused. Polygons are cut into
 fans; relative indices count from their own line; corners that differ in v, vt or vn are different vertices.
-`flx.mesh.mtl` reads the materials, `flx.mesh.obj_source` keeps the text and writes it again.
+`flx.mesh.formats.mtl` reads the materials, `flx.mesh.formats.obj_source` keeps the text and writes it again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from flx.mesh.files import BadFile, check_faces, numbers
-from flx.mesh.gltf import Part
+from flx.mesh.formats.files import BadFile, check_faces, numbers
+from flx.mesh.formats.gltf import Part
 from flx.mesh.rows import distinct_rows
 
 PIECE = 1 << 20  # characters cut into lines at a time

@@ -6,7 +6,7 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.mesh.features import CURVE, bends, features, long_curves
+from flx.mesh.remesh.features import CURVE, bends, features, long_curves
 from flx.mesh.topology import edge_lengths, mark, topology
 from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit, vertex_normals
 from flx.types import Triangulation

@@ -1,6 +1,6 @@
 """The steps of a remesher: split, collapse and flip edges, each on a random independent set at once.
 
-Features (flx.mesh.features) stay: their vertices move along them only.
+Features (flx.mesh.remesh.features) stay: their vertices move along them only.
 """
 
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.mesh.features import features
+from flx.mesh.remesh.features import features
 from flx.mesh.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, mark, topology
 from flx.mesh.vectors import area_normals, cross, dot, length_of, unit
 from flx.types import Triangulation

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int, Num
 
-from flx.mesh.files import BadFile, check_faces, numbers
-from flx.mesh.gltf import Part
-from flx.mesh.obj import colors_of, fans, unmerge
+from flx.mesh.formats.files import BadFile, check_faces, numbers
+from flx.mesh.formats.gltf import Part
+from flx.mesh.formats.obj import colors_of, fans, unmerge
 from flx.mesh.rows import distinct_rows
 
 TYPES = {

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Num
 
-from flx.mesh.gltf import (
+from flx.mesh.formats.gltf import (
     WIDTHS,
     Gltf,
     Paint,

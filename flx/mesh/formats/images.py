@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 from PIL import Image
 
-from flx.mesh.files import BadFile, limit
+from flx.mesh.formats.files import BadFile, limit
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 REFUSED = {
@@ -104,3 +104,8 @@ def check_together(contents: Mapping[str, bytes]) -> None:
             f"{len(contents)} images have {pixels:,} pixels, more than {most:,}; reduce them, "
             f"or set FLX_MAX_PIXELS={-(-pixels // 4)}"
         )
+
+
+def quantized(colors: Float32[Any, "P 3"]) -> UInt8[Any, "P 3"]:
+    """Colours as a texture holds them: clipped to [0, 1], 8 bits."""
+    return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)

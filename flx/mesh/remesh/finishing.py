@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from flx.mesh.closeness import FAIR, FEW_SHARP, gap_to_close, reach, tighten
-from flx.mesh.features import features
-from flx.mesh.operators import flip
-from flx.mesh.smoothing import Surface, smooth
-from flx.mesh.stars import Stars, independent, sharpest_cosines
+from flx.mesh.remesh.closeness import FAIR, FEW_SHARP, gap_to_close, reach, tighten
+from flx.mesh.remesh.features import features
+from flx.mesh.remesh.operators import flip
+from flx.mesh.remesh.smoothing import Surface, smooth
+from flx.mesh.remesh.stars import Stars, independent, sharpest_cosines
 from flx.mesh.topology import mark, topology
 from flx.mesh.vectors import dot
 from flx.types import Triangulation

@@ -1,6 +1,6 @@
 """The file formats: each reader turns a file into `Contents`, and judges nothing.
 
-`flx.mesh.gltf`, `obj`, `mtl` and `ply` take the files apart; here the images that a mesh names are
+`flx.mesh.formats.gltf`, `obj`, `mtl` and `ply` take the files apart; here the images that a mesh names are
 looked up, and decoded by the caller. Texture coordinates run right and down in what is returned, whatever
 the format.
 """
@@ -10,13 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from flx.mesh import gltf
-from flx.mesh.files import BadFile, inside, read_file
-from flx.mesh.gltf import Gltf, Material, Part
-from flx.mesh.mtl import Mapped, parse_mtl
-from flx.mesh.obj import parse_obj
-from flx.mesh.obj_source import ObjSource, find_maps, read_libraries
-from flx.mesh.ply import parse_ply
+from flx.mesh.formats import gltf
+from flx.mesh.formats.files import BadFile, inside, read_file
+from flx.mesh.formats.gltf import Gltf, Material, Part
+from flx.mesh.formats.mtl import Mapped, parse_mtl
+from flx.mesh.formats.obj import parse_obj
+from flx.mesh.formats.obj_source import ObjSource, find_maps, read_libraries
+from flx.mesh.formats.ply import parse_ply
 
 
 class Contents(NamedTuple):

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.mesh.fit import EASY, fit_of, gaps_of, shapes_of
-from flx.mesh.operators import disjoint, ranks
-from flx.mesh.smoothing import Surface
-from flx.mesh.stars import Stars, independent, largest, longest_sides, sharpest_cosines
+from flx.mesh.remesh.fit import EASY, fit_of, gaps_of, shapes_of
+from flx.mesh.remesh.operators import disjoint, ranks
+from flx.mesh.remesh.smoothing import Surface
+from flx.mesh.remesh.stars import Stars, independent, largest, longest_sides, sharpest_cosines
 from flx.mesh.topology import all_of, any_of, has_edge, mark, topology
 from flx.mesh.vectors import area_normals, dot, length_of, sum_at, unit
 from flx.types import Triangulation
