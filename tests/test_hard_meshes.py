@@ -54,7 +54,7 @@ def walls(points: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("thickness", [0.1, 0.02, 0.005])
 def test_nothing_jumps_through_a_thin_wall(thickness):
-    """Walls of 0.6 edges, an eighth and a thirtieth: projection, colours, queries and pooling keep to their side."""
+    """Walls of 0.6 edges, an eighth, a thirtieth: projection, colours, queries, pooling keep to their side."""
     mesh = sleeve(thickness)
     copy = remesh(mesh.vertices, mesh.faces, 900, seed=0)
     h = edge_length(copy)
@@ -88,7 +88,7 @@ def test_nothing_jumps_through_a_thin_wall(thickness):
 
 @pytest.mark.parametrize(("thickness", "seed"), [(0.02, 0), (0.02, 1), (0.005, 0)])
 def test_the_two_boundaries_of_a_thin_wall_stay_two(thickness, seed):
-    """At the open end of a sleeve whose walls are a fraction of an edge apart, each keeps its own boundary."""
+    """At the open end of a sleeve, walls a fraction of an edge apart have a boundary each."""
     mesh = sleeve(thickness)
     copy = remesh(mesh.vertices, mesh.faces, 900, seed=seed)
     h = edge_length(copy)

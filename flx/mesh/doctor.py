@@ -20,9 +20,10 @@ RASTER = 1024  # pixels on the longer side on which texels are counted
 MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, its repetitions counted
 WITHIN = 1e-6  # least barycentric of a pixel that is one face's own: neighbours share those on their edge
 RING_PIXELS = (7.0, 450.0)  # in one-rings that the FL-VAE was trained on: 1.5 to 12 pixels from the vertex
-COPY_SECONDS = 4e-4  # CPU, for each vertex of a copy: remeshing, tables, colours
+COPY_SECONDS = 1.6e-4  # for each vertex of a copy: remeshing, tables, colours, two copies at once
 COPY_BYTES = 600  # on disk, for each vertex of a copy: tables and latents
-STEP_SECONDS = 4.5e-7  # for each vertex, channel, block and copy of a training step
+# For each vertex, channel, block and copy of a training step, by network.
+STEP_SECONDS = {"vectors": 5.0e-7, "mixed": 2.7e-7}
 STEP_BYTES = 900  # for each of the same
 BASE_BYTES = 600e6  # JAX, and the mesh
 
@@ -35,7 +36,7 @@ class Plan(NamedTuple):
     steps: int
     batch: int
     ring_pixels: tuple[float, float, float] | None  # in a one-ring: 5th percentile, median and 95th by area
-    copy_seconds: float  # of all copies, one core
+    copy_seconds: float  # of all copies, on two cores like all that follows
     disk_bytes: float
     step_seconds: float
     train_seconds: float
@@ -134,8 +135,8 @@ def _plan(asset: Asset, painted: Bool[Any, "F"], experiment: FLDMExperiment) -> 
         ring_pixels=_ring_pixels(asset, painted, surface.vertices),
         copy_seconds=COPY_SECONDS * surface.vertices * surface.copies,
         disk_bytes=float(COPY_BYTES) * surface.vertices * surface.copies,
-        step_seconds=STEP_SECONDS * work,
-        train_seconds=STEP_SECONDS * work * train.steps,
+        step_seconds=STEP_SECONDS[model.network] * work,
+        train_seconds=STEP_SECONDS[model.network] * work * train.steps,
         train_bytes=BASE_BYTES + STEP_BYTES * work,
     )
 
