@@ -54,7 +54,7 @@ def walls(points: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("thickness", [0.1, 0.02, 0.005])
 def test_nothing_jumps_through_a_thin_wall(thickness):
-    """Walls of 0.6 edges, an eighth, a thirtieth: projection, colours, queries, pooling keep to their side."""
+    """Walls of 0.6 edges, an eighth, a thirtieth: projection, colours, queries, pooling keep sides."""
     mesh = sleeve(thickness)
     copy = remesh(mesh.vertices, mesh.faces, 900, seed=0)
     h = edge_length(copy)
