@@ -306,6 +306,7 @@ CASES = [
     Case("OBJ: map_Kd is a link to itself", symlink(obj(), "a.png", "a.png"), "a.png"),
     Case("OBJ: mtllib is a link out", symlink(obj(), "m.mtl", "/etc/passwd"), "outside"),
     Case("OBJ: map_Kd is missing", obj(mtl=MTL.replace("a.png", "b.png")), "does not exist.*--texture"),
+    Case("OBJ: map_Kd in a file", obj(mtl=MTL.replace("a.png", "a.png/b.png")), "does not exist.*--texture"),
     Case("OBJ: mtllib is missing", obj(lambda t: t.replace("m.mtl", "n.mtl")), "does not exist.*--texture"),
     Case("OBJ: MTL of 20 GB", beside(obj(), "m.mtl", sparse_file), "FLX_MAX_BYTES"),
     Case("OBJ: MTL is a pipe", beside(obj(), "m.mtl", os.mkfifo), "not a file"),

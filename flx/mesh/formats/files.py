@@ -57,7 +57,10 @@ def read_file(path: Path) -> bytes:
 
     Raises FileNotFoundError, or BadFile for a folder, a pipe, a device, and more than `FLX_MAX_BYTES`.
     """
-    size = path.stat().st_size
+    try:
+        size = path.stat().st_size
+    except NotADirectoryError as fault:  # a.png/b.png
+        raise FileNotFoundError(fault.errno, fault.strerror, str(path)) from fault
     if not path.is_file():
         raise BadFile(f"{path} is not a file; name one, or copy it there")
     if size > (most := limit("FLX_MAX_BYTES")):
