@@ -9,7 +9,7 @@ import trimesh
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
-from shapes import icosphere, random_sphere, square_grid
+from shapes import icosphere, random_sphere, square_grid, torus
 from test_triangulations import assert_sound, box
 
 from flx.mesh.remesh import finishing
@@ -264,6 +264,16 @@ def test_a_collapse_keeps_topology_and_bounds_and_does_as_many_as_asked(seed, mo
             lengths = edge_lengths(after.mesh.vertices, topology(after.mesh.faces, len(after.mesh.vertices)))
             longest = edge_lengths(mesh.vertices, topology(mesh.faces, len(mesh.vertices))).max()
             assert lengths.max() <= max(longest, 1.7 * h)
+
+
+def test_no_collapse_pinches_a_thin_ring():
+    """Around a tube of three vertices every edge is short, and its ends have a neighbour across."""
+    ring = torus(around=30, across=3, tube=0.1)
+    for seed in range(3):
+        after = collapse(ring, 9.0, 9.0, np.random.default_rng(seed), None, -1.0)
+        assert after.done > 0
+        assert_sound(after.mesh)
+        assert invariants(*after.mesh) == invariants(*ring)
 
 
 def test_collapses_cut_no_feature():
