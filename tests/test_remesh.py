@@ -31,7 +31,7 @@ from flx.mesh.topology import (
     topology,
 )
 from flx.mesh.triangulations import planar
-from flx.mesh.vectors import length_of
+from flx.mesh.vectors import area_normals, length_of
 from flx.types import Triangulation
 
 seeds = st.integers(0, 10**6)
@@ -188,6 +188,17 @@ def test_smoothing_stays_on_the_surface_turns_no_face_and_leaves_what_is_pinned(
     corners = smoothed[mesh.faces]
     volumes = np.linalg.det(corners)
     assert volumes.min() > 0 and (smoothed[~pinned] != mesh.vertices[~pinned]).any(1).all()
+
+
+def test_no_smoothing_shrinks_a_face_to_nothing():
+    """Of strewn points: faces keep a tenth of the mean area, or nearly theirs."""
+    for seed in range(3):
+        mesh = planar(150, (1.0, 1.0), np.random.default_rng(seed), 1.0)
+        area = igl.doublearea(*mesh)
+        after = smooth(mesh, Surface(*mesh, mean_edge(mesh)), 1)
+        up = area_normals(*after)[:, 2]
+        assert (up >= np.minimum(0.1 * area.mean(), 0.9 * area) - 1e-12).all()
+        assert np.ptp(up) < np.ptp(area)
 
 
 # --- collapses
