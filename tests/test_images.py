@@ -65,6 +65,17 @@ def test_every_point_lies_in_a_face_whose_corners_see_it_where_it_is(patches):
     assert np.ptp(apart) > 1
 
 
+def test_a_ring_is_seen_turned_from_its_place_and_never_mirrored(patches):
+    """Frames are right-handed: one turn leads from all logs of a ring to the steps between its places."""
+    logs, places = (np.asarray(a)[::20] for a in (patches.bank.logs, patches.bank.places))
+    turns = np.diff(places) / np.diff(logs)
+    turn = turns.mean(-1, keepdims=True)
+    np.testing.assert_allclose(np.abs(turn), 1, atol=2e-3)
+    steps = np.abs(np.diff(places) - turn * np.diff(logs))
+    assert steps.max() < 0.01 and np.abs(np.diff(logs)).mean() > 0.5
+    assert np.abs(np.diff(places) - turn * np.diff(logs).conj()).max() > 1
+
+
 def test_queries_are_uniform_over_the_faces_of_a_patch(patches):
     """Barycentrics of uniform points have the mean 1/3 and the variance 1/18."""
     weights = np.asarray(patches.bank.queries.barycentrics).reshape(-1, 3)

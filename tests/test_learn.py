@@ -69,10 +69,16 @@ def test_the_loss_is_zero_for_who_knows_the_answer_and_one_for_who_says_nothing(
         np.testing.assert_allclose(found, expected, atol=close)
 
 
-def test_who_learns_the_blend_hears_of_a_corner_what_is_seen_of_it():
-    """Points at the first corner of their face show nothing of the others."""
+@pytest.fixture(scope="module")
+def small() -> tuple:
+    """A tiny model and its parameters."""
     model = FLVAE(channels=4, layers=0, heads=1, samples=5, decoder_width=8, decoder_layers=2)
-    params, rng = initial_params(model, 0), np.random.default_rng(0)
+    return model, initial_params(model, 0)
+
+
+def test_who_learns_the_blend_hears_of_a_corner_what_is_seen_of_it(small):
+    """Points at the first corner of their face show nothing of the others."""
+    (model, params), rng = small, np.random.default_rng(0)
     rings = RingSamples(tangent_noise(jax.random.key(1), (6, 5)), jnp.ones((6, 5, 3)))
     seen = tangent_noise(jax.random.key(2), (9, 3))
     first = jnp.tile(jnp.eye(3)[0], (9, 1))
@@ -87,6 +93,24 @@ def test_who_learns_the_blend_hears_of_a_corner_what_is_seen_of_it():
     of_others = np.abs(losses(seen.at[:, 1:].mul(3.0)) - losses(seen))
     assert of_others[0] < 1e-6 and of_others[1] > 1e-3
     assert np.abs(losses(seen.at[:, 0].mul(3.0)) - losses(seen)).min() > 1e-3
+
+
+def test_the_weight_of_the_kl_divergence_is_the_experiment_s(small):
+    model, params = small
+    rings = RingSamples(tangent_noise(jax.random.key(1), (6, 5)), jnp.ones((6, 5, 3)))
+    logs = tangent_noise(jax.random.key(2), (9, 3))
+    queries = Queries(jnp.zeros((9, 3), jnp.int32), logs, jnp.full((9, 3), 1 / 3))
+    asked = (("blend", 0.5), ("corners", 2.0))
+
+    @jax.jit
+    def losses(batch):
+        each = [FLVAEExperiment(model=model, learns=learns, kl_weight=weight) for learns, weight in asked]
+        found = [image_loss(experiment)(params, batch, jax.random.key(0)) for experiment in each]
+        return jnp.array([(total, parts["l1"], parts["kl"]) for total, parts in found])
+
+    total, l1, kl = losses(PatchBatch(rings, queries, jnp.ones((9, 3)))).T
+    np.testing.assert_allclose(total, l1 + np.array([weight for _, weight in asked]) * kl, rtol=1e-5)
+    assert min(kl.min(), l1.min()) > 0.05
 
 
 def test_a_model_that_cannot_be_made_leaves_no_run_behind(tmp_path):

@@ -225,6 +225,35 @@ def test_inside_a_face_the_colours_of_its_corners_are_blended(config):
     assert np.abs(blended - corners.mean(1)).max() > 0.01
 
 
+def weights_of(logs: jax.Array) -> np.ndarray:
+    """How samples count: a Gaussian about the vertex, a mean vertex radius wide."""
+    weights = np.exp(-(np.abs(np.asarray(logs, np.complex128)) ** 2) / 2)
+    return weights / weights.sum(-1, keepdims=True)
+
+
+def test_a_fit_is_closest_where_the_vertex_is_asked_most():
+    """Of no other polynomial are the weighted squares and the damping together less: their slope is zero."""
+    r = rings(10, samples=64, noise=0.3)
+    fit = np.asarray(polynomials.least_squares(r.logs, r.colors, 5), np.float64)
+    basis = np.asarray(polynomials.basis(r.logs, 5), np.float64)
+    errors = basis @ fit - np.asarray(r.colors)
+    slopes = np.einsum("rs,rsn,rsc->rnc", weights_of(r.logs), basis, errors)
+    damping = np.array([1e-3 * (1 + 2 * d) for d, m in polynomials.terms(5) for _ in range(2 if m else 1)])
+    np.testing.assert_allclose(slopes, -damping[:, None] * fit, atol=2e-5)
+    assert np.abs(damping[:, None] * fit).max() > 1e-3
+
+
+def test_components_are_measured_by_colours_where_samples_count():
+    """The norm of coefficients in the metric is the weighted mean square of their polynomial."""
+    logs = rings(200, samples=64).logs
+    metric, _ = frame._metrics(logs)
+    constant = polynomials.rows(frame.FITTED)[0]
+    terms = np.asarray(polynomials.basis(logs.ravel(), frame.FITTED), np.float64)[:, constant]
+    coefficients = np.random.default_rng(0).normal(size=(len(constant), 3))
+    expected = weights_of(logs.ravel()) @ ((terms @ coefficients) ** 2).sum(1)
+    np.testing.assert_allclose(((coefficients.ravel() @ metric) ** 2).sum(), expected, rtol=1e-4)
+
+
 def test_principal_components_keep_more_than_any_mean():
     """Before any training the linear maps give most of a smooth ring back."""
     model, params = trained_a_little(replace(FRAME, samples=64, edges=1))
