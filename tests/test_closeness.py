@@ -175,3 +175,17 @@ def test_a_finished_mesh_reaches_tips_and_leaves_few_wide_gaps(seed, monkeypatch
     off = gaps_of(surface.vertices[::100], *after)[0]
     assert (off < 1e-9).sum() >= 7
     assert fit_of(after, surface, surface.gap).wide.sum() <= 5
+
+
+def test_no_gap_is_taken_for_narrower_than_it_is(monkeypatch):
+    """Not even where a neighbouring patch that closed it in the trial is then left as it was."""
+    tried, short = closeness._take_over, []
+
+    def watched(fit, change, surface, gap):
+        tried(fit, change, surface, gap)
+        short.append((gaps_of(fit.probes, fit.vertices, fit.faces)[0] / gap - fit.gaps).max())
+
+    monkeypatch.setattr(closeness, "_take_over", watched)
+    surface = Surface(*hedgehog(), mean_edge(rough(0)))
+    tighten(rough(0), surface, surface.gap, np.random.default_rng(0))
+    assert len(short) > 100 and max(short) < 1e-9

@@ -139,7 +139,12 @@ def _take_over(fit, change, surface, gap):
     fit.vertices[faces], fit.faces[rows] = change.vertices[faces], faces
     fit.shapes.put(rows, shapes.at(kept))
     kept = better[by_probe]
-    fit.gaps[asked[kept]], fit.hits[asked[kept]] = gaps[kept], hits[kept]
+    asked, gaps, hits = asked[kept], gaps[kept], hits[kept]
+    # A neighbouring patch that came closer may be one that stays as it was.
+    gone = np.flatnonzero(~np.append(better, True)[patch[hits]])
+    gaps[gone], hits[gone] = gaps_of(fit.probes[asked[gone]], fit.vertices, fit.faces)
+    gaps[gone] /= gap
+    fit.gaps[asked], fit.hits[asked] = gaps, hits
 
 
 def _cost(shapes, owners, gaps, by_probe, size):
