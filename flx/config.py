@@ -1,7 +1,8 @@
 """What can be turned: frozen dataclasses with the paper's values as defaults.
 
 An experiment file makes one `FLVAEExperiment` or `FLDMExperiment` and names it `config`; the launcher
-overrides single fields from the command line. A line there that differs from here says why.
+overrides single fields from the command line. A line there that differs from here says why. Numbers out of
+their range are refused when they are set, before anything is prepared.
 """
 
 from dataclasses import dataclass, field
@@ -9,6 +10,13 @@ from typing import Literal
 
 Precision = Literal["bfloat16", "float32"]
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
+
+
+def _check(part: str, values: object, **least: int | float) -> None:
+    """Raises ValueError for a number that is less than its least, or none at all."""
+    for name, low in least.items():
+        if not getattr(values, name) >= low:
+            raise ValueError(f"{part}.{name} is {getattr(values, name)}; give at least {low}")
 
 
 @dataclass(frozen=True)
@@ -31,6 +39,10 @@ class FLVAE:
     sharpness: float = 1.0  # of the blend of a face's corners: barycentrics to this power
     precision: Precision = "bfloat16"  # inputs of the matrix products; sums are float32
 
+    def __post_init__(self) -> None:
+        _check("model", self, channels=1, layers=0, heads=1, latents=1, invariants=0, samples=1)
+        _check("model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=0, sharpness=0)
+
 
 @dataclass(frozen=True)
 class FLDM:
@@ -52,6 +64,10 @@ class FLDM:
     beta_end: float = 2e-2
     precision: Precision = "bfloat16"
 
+    def __post_init__(self) -> None:
+        _check("model", self, latents=1, invariants=0, channels=1, filter_width=1, vn_layers=1, embedding=1)
+        _check("model", self, conditions=0, steps=1, beta_start=0, beta_end=0)
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -65,6 +81,9 @@ class Surface:
     up: Literal["y", "z"] = "y"  # for the pictures only
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        _check("surface", self, vertices=4, copies=1, slots=4, seed=0)
+
 
 @dataclass(frozen=True)
 class Images:
@@ -76,6 +95,10 @@ class Images:
     smallest: float = 1.2  # pixels in a mean vertex radius, least and most
     largest: float = 16.0
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check("images", self, prints=0, queries=1, smallest=0.1, seed=0)
+        _check("images", self, largest=self.smallest)
 
 
 @dataclass(frozen=True)
@@ -93,6 +116,12 @@ class Train:
     checkpoint_every: int = 1000
     log_every: int = 50
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check("train", self, steps=1, batch=1, warmup=0, checkpoint_every=1, log_every=1, seed=0)
+        _check("train", self, learning_rate=0, final_learning_rate=0, clip=0, ema=0)
+        if self.ema >= 1:
+            raise ValueError(f"train.ema is {self.ema}; give less than 1, for weights that follow")
 
 
 @dataclass(frozen=True)

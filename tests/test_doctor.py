@@ -119,7 +119,7 @@ def test_a_refusal_is_a_verdict_too(tmp_path, capsys):
     said = capsys.readouterr()
     assert json.loads(said.out)["verdict"].startswith("refused: ") and said.err.count("\n") == 1
     assert main(["doctor", str(obj()(tmp_path)), "--vertices", "3"]) == 2
-    assert "3 vertices holds no mesh" in capsys.readouterr().err
+    assert "surface.vertices is 3" in capsys.readouterr().err
 
 
 def test_limits_can_be_raised_and_are_checked(tmp_path, monkeypatch):

@@ -21,6 +21,20 @@ def test_the_same_picture_is_without_error():
     assert distances["squared_error"] == 0 and abs(distances["dssim"]) < 1e-6
 
 
+@pytest.mark.parametrize("size", [(1, 256), (4, 4), (10, 11)])
+def test_pictures_smaller_than_a_window_are_measured(size):
+    """Palettes of a pixel's height are common: all of them is compared, and nothing else."""
+    rng = np.random.default_rng(0)
+    picture, other = rng.integers(0, 256, (2, *size, 3), np.uint8)
+    covered = np.ones(size, bool)
+    assert abs(compare(picture, picture, covered)["dssim"]) < 1e-6
+    distances = compare(picture, other, covered)
+    assert distances["squared_error"] == pytest.approx(
+        np.mean((picture / 255.0 - other / 255.0) ** 2), rel=1e-5
+    )
+    assert 0.1 < distances["dssim"] < 1
+
+
 def test_what_is_not_covered_does_not_count():
     picture, covered = pictures()
     other = np.where(covered[..., None], np.clip(picture.astype(int) + 20, 0, 255), picture).astype(np.uint8)

@@ -127,11 +127,26 @@ def test_doctor_reports_in_words_and_in_json(trained):
         (["sample", "runs/none"], "runs/none"),
         (["frobnicate"], "frobnicate"),
         (["reconstruct", "vase.glb", "--weights", "vase.glb"], "vase.glb"),
+        (["reconstruct", "vase.glb", "--texture-size", "4"], "--texture-size is 4"),
+        (["reconstruct", "vase.glb", "--texture-size", "30000"], "--texture-size is 30000"),
+        (["reconstruct", "vase.glb", "--out", "vase.glb"], "vase.glb is a file"),
+        (["reconstruct", "vase.glb", "--out", "vase.glb/deeper"], "vase.glb is a file"),
+        (["sample", "runs/smoke", "--count", "0"], "0 variations"),
+        (["bench", "vase.glb"], "--mesh"),
     ],
 )
 def test_wrong_input_is_one_line_and_status_2(trained, arguments, named):
     said = flx(*arguments, cwd=trained, status=2).stderr
     assert said.count("\n") == 1 and named in said
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("--train.steps", "0"), ("--train.batch", "0"), ("--train.ema", "1"), ("--surface.copies", "0")],
+)
+def test_a_number_out_of_its_range_is_refused_before_anything_is_made(trained, field, value):
+    said = flx("train", SMOKE, "--name", "wrong", field, value, cwd=trained, status=2).stderr
+    assert f"{field[2:]} is {value}" in said and not (trained / "runs" / "wrong").exists()
 
 
 def test_a_misspelt_field_is_answered_with_the_nearest_one(trained):

@@ -14,7 +14,8 @@ from flx.mesh.formats.files import write_atomically
 from flx.pipeline.runs import load_config, load_fingerprint, only_trainer, open_run
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
-trains = st.builds(Train, steps=st.integers(1), learning_rate=finite, clip=finite)
+positive = st.floats(0, allow_nan=False, allow_infinity=False)
+trains = st.builds(Train, steps=st.integers(1), learning_rate=positive, clip=positive)
 experiments = st.one_of(
     st.builds(FLVAEExperiment, model=st.builds(FLVAE), kl_weight=finite, train=trains, name=st.just("x")),
     st.builds(

@@ -1,6 +1,7 @@
 """From latents to an asset: colours decoded wherever the asset shows them, in files and in pictures."""
 
 import importlib.util
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from PIL import Image
 from flx.mesh.assets import Asset, write_glb, write_glb_colors
 from flx.mesh.copies import queries_at, transfer
 from flx.mesh.exports import check_room, left_behind, write_obj, write_obj_colors, write_ply_colors
-from flx.mesh.formats.files import write_atomically
+from flx.mesh.formats.files import limit, write_atomically
 from flx.mesh.formats.images import quantized
 from flx.mesh.formats.obj_source import ObjSource
 from flx.mesh.render import contact_sheet, look, show
@@ -25,6 +26,7 @@ from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
 
 Format = Literal["glb", "obj", "ply"]
 LARGEST = 2048  # pixels on the longer side of an atlas, unless more are asked for
+SMALLEST = 16  # that may be asked for
 CHUNK = 1 << 18  # texels decoded at a time
 VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
 
@@ -76,6 +78,13 @@ def _shown_points(asset: Asset, atlases: Sequence[Atlas | None]) -> Iterator[Sur
         texels = atlas.texels
         for start in range(0, len(texels), CHUNK):
             yield atlas.points_at(texels[start : start + CHUNK])
+
+
+def check_size(texture_size: int | None) -> None:
+    """Raises ValueError for an atlas of fewer pixels than its metrics look at, or more than one may have."""
+    longest = int(limit("FLX_MAX_PIXELS") ** 0.5)
+    if texture_size is not None and not SMALLEST <= texture_size <= longest:
+        raise ValueError(f"--texture-size is {texture_size}; give {SMALLEST} to {longest} pixels")
 
 
 def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[int, int]:
@@ -145,9 +154,11 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
     """Before anything is paid for: can the asset be written to `paths`, with other files `beside` it? Says on
     stderr what stays behind.
 
-    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures; and where
-    files of the asset itself would be overwritten.
+    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures; where files
+    of the asset itself would be overwritten; and where there can be no such folder.
     """
+    for folder in {path.parent for path in paths}:
+        _check_folder(folder)
     if format == "ply" and asset.textures:
         raise ValueError(
             f"{asset.path} has textures, a PLY has colours of vertices; take --format glb or obj"
@@ -157,6 +168,15 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
     if left := left_behind(asset, format):
         kept = "obj" if isinstance(asset.container, ObjSource) else "glb"
         print(f"{asset.path}: {left} stay behind; --format {kept} keeps all", file=sys.stderr)
+
+
+def _check_folder(folder: Path) -> None:
+    """Raises ValueError where no folder can be made, or nothing written into it."""
+    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    if not there.is_dir():
+        raise ValueError(f"{there} is a file; name a folder with --out")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise ValueError(f"{there} may not be written to; name another folder with --out")
 
 
 def prepared_for(asset: Asset, format: Format) -> Asset:

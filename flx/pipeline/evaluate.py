@@ -25,6 +25,7 @@ from flx.pipeline.bake import (
     bake,
     bake_back,
     check_output,
+    check_size,
     open_canvas,
     prepared_for,
     resized,
@@ -52,6 +53,7 @@ def reconstruct(
 
     Writes the reconstruction, its atlas, side_by_side.png and metrics.json into `out`.
     """
+    check_size(texture_size)
     judges = installed_judges()
     began = time.monotonic()
     asset = read_asset(mesh, texture)
@@ -77,12 +79,17 @@ def reconstruct(
     }
     write_baked(asset, baked, out / f"reconstruction.{format}")
     for index, image in enumerate(baked.images if format != "obj" else ()):  # an OBJ has its own
-        write_png(out / (f"reconstruction_{index}.png" if index else "reconstruction.png"), image)
+        if not asset.textures[index].flat:
+            suffix = f"_{index}" if len(baked.images) > 1 else ""
+            write_png(out / f"reconstruction{suffix}.png", image)
     write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], up, 512))
     write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
     if not judges:
         print(f"flx: {HINT}", file=sys.stderr)
     return metrics
+
+
+WINDOW = 11  # pixels a side of the Gaussian windows of DSSIM; smaller pictures are continued to that
 
 
 def fidelity(canvas: Canvas, baked: Baked, judges: Sequence[Judge] = ()) -> dict[str, float]:
@@ -119,6 +126,9 @@ def compare(
     at the rim of a chart compares colours of the surface alone.
     """
     own, new = fill_gutter(own, covered), fill_gutter(new, covered)
+    missing = [(0, max(0, WINDOW - side)) for side in covered.shape]
+    covered = np.pad(covered, missing)
+    own, new = (np.pad(image, [*missing, (0, 0)], mode="edge") for image in (own, new))
     ours, theirs = (image.astype(np.float32) / 255 for image in (own, new))
     similarity = structural_similarity(
         ours,

