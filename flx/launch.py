@@ -17,6 +17,7 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -176,6 +177,8 @@ def bench(path: Positional[Path | None] = None, /, mesh: bool = False, texture: 
     """
     from flx.pipeline.bench import codec_rows, denoiser_rows, machine, mesh_rows
 
+    if path is not None and not mesh:
+        raise ValueError(f"{path} is for --mesh; the networks are timed without a file")
     rows = mesh_rows(path, texture) if mesh else [*codec_rows(), *denoiser_rows()]
     print(_json({"rows": rows, "machine": machine()}))
 
@@ -197,7 +200,10 @@ def train(arguments: Sequence[str]) -> None:
     )
     from flx.pipeline.learn import learn
 
-    print(learn(experiment, Path("runs")).folder)
+    run = learn(experiment, Path("runs"))
+    if isinstance(experiment, FLDMExperiment):
+        print(f"{run.folder}: learnt; flx sample {run.folder} makes new textures", file=sys.stderr)
+    print(run.folder)
 
 
 def read_config(path: Path) -> Experiment:
@@ -235,6 +241,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not words or words[0] in ("-h", "--help"):
         print(__doc__)
         return 0 if words else 2
+    if words[0] == "--version":
+        print(f"flx {version('flx')}")
+        return 0
     if words[0] not in COMMANDS:
         return _complain(f"there is no command {words[0]!r}; say one of {', '.join(COMMANDS)}", 2)
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")

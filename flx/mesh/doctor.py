@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.config import FLDMExperiment
+from flx.config import FLDM, FLDMExperiment, Train
 from flx.mesh.assets import Asset, Report, uv_areas
 from flx.mesh.raster import barycentric_planes, pixels_inside
 from flx.mesh.topology import edges_of, pieces
@@ -31,6 +31,7 @@ BASE_BYTES = 600e6  # JAX, and the mesh
 class Plan(NamedTuple):
     """A training run: how large, and what it will take."""
 
+    papers: bool  # the paper's own model and training
     vertices: int
     copies: int
     steps: int
@@ -56,14 +57,7 @@ class Findings(NamedTuple):
 
 
 def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
-    """What reading the asset did not need to know, for a run of `experiment` on it.
-
-    Raises ValueError where the run has fewer vertices than a tetrahedron.
-    """
-    if experiment.surface.vertices < 4:
-        raise ValueError(
-            f"a run of {experiment.surface.vertices} vertices holds no mesh; take some thousands"
-        )
+    """What reading the asset did not need to know, for a run of `experiment` on it."""
     covered, overlapping = _coverage(asset)
     flat = np.array([texture.flat for texture in asset.textures] or [True])[asset.mesh.face_textures]
     plan = _plan(asset, ~flat, experiment)
@@ -128,6 +122,7 @@ def _plan(asset: Asset, painted: Bool[Any, "F"], experiment: FLDMExperiment) -> 
     blocks = sum(model.blocks) if model.blocks else max(3, round((surface.vertices / 312) ** 0.5))
     work = float(surface.vertices) * model.channels * blocks * train.batch
     return Plan(
+        papers=(model, train) == (FLDM(), Train()),
         vertices=surface.vertices,
         copies=surface.copies,
         steps=train.steps,
@@ -244,7 +239,7 @@ def _describe_findings(findings: Findings) -> list[tuple[str, str]]:
         told = f"{median:,.0f} (5 %: {low:,.0f}, 95 %: {high:,.0f}) at {plan.vertices:,} vertices"
         lines.append(("pixels in a one-ring", told))
     told = f"{plan.copies:,} copies, {plan.steps:,} steps of {plan.batch}, {plan.vertices:,} vertices"
-    lines.append(("planned run", told))
+    lines.append(("planned run", f"the paper's; say --config for yours: {told}" if plan.papers else told))
     told = f"{_time(plan.copy_seconds)} for the copies, {_time(plan.train_seconds)} to train"
     lines.append(("its time on two CPU cores, about", told))
     told = f"{plan.train_bytes / 1e9:,.1f} GB of memory, {plan.disk_bytes / 1e9:,.1f} GB on disk"

@@ -7,7 +7,7 @@ from flx.mesh.assets import Asset, Texture
 from flx.mesh.formats.gltf import Gltf, Part, accessor
 from flx.mesh.texels import atlas_texels, paint, surface_colors
 
-INSTALL = "pip install 'flx[uv]'"
+INSTALL = "pip install '.[uv]' in the clone"
 PADDING = 4  # texels between charts on a texture of about 1024²: seams stay closed down to a quarter of it
 
 
