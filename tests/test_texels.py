@@ -275,6 +275,21 @@ def test_a_gutter_takes_the_nearest_colour_and_leaves_covered_texels():
         assert (filled[row, column] == nearest).all(1).any()
 
 
+@pytest.mark.parametrize("reach", [1.0, 2.5, 4.0])
+def test_beyond_its_reach_a_gutter_is_as_it_was(reach):
+    image, covered = noise(20, 30), np.zeros((20, 30), bool)
+    covered[0:3, 4:10] = covered[12:15, 22:30] = True
+    rows, columns = np.nonzero(covered)
+    down = np.abs(np.arange(20)[:, None, None] - rows)
+    right = np.abs(np.arange(30)[:, None] - columns)
+    squares = np.minimum(down, 20 - down) ** 2 + np.minimum(right, 30 - right) ** 2
+    near = squares.min(-1) <= reach**2
+    filled, whole = fill_gutter(image, covered, reach), fill_gutter(image, covered)
+    assert 60 < near.sum() < 500
+    np.testing.assert_array_equal(filled[~near], image[~near])
+    np.testing.assert_array_equal(filled[near], whole[near])
+
+
 def test_a_gutter_sees_across_the_border():
     image, covered = np.zeros((8, 40, 3), np.uint8), np.zeros((8, 40), bool)
     covered[:, 10], covered[:, 39] = True, True

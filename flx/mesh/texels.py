@@ -212,11 +212,14 @@ def _outlines(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
 # --- gutters and paint
 
 
-def fill_gutter(image: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"]) -> UInt8[Any, "H W 3"]:
+def fill_gutter(
+    image: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"], reach: float = np.inf
+) -> UInt8[Any, "H W 3"]:
     """Every uncovered texel takes its nearest covered texel's colour, also across the repeating border.
 
-    A bilinear look-up at the rim of a chart reads half a texel beyond it, one in a smaller copy of the image
-    (a mip level) as far as its texels are large. An image without a covered texel comes back as it is.
+    Farther than `reach` texels from a covered one it stays: other meshes may share the image. A bilinear
+    look-up at the rim of a chart reads half a texel beyond it, one in a smaller copy of the image (a mip
+    level) as far as its texels are large. An image without a covered texel comes back as it is.
     """
     filled = image.copy()
     if covered.all() or not covered.any():
@@ -229,6 +232,8 @@ def fill_gutter(image: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"]) -> UInt8[
     for row in range(height):
         gutter = np.flatnonzero(~covered[row])
         rows, columns = nearest[:, row + top, gutter + left]
+        near = (rows - row - top) ** 2 + (columns - gutter - left) ** 2 <= reach**2
+        rows, columns, gutter = rows[near], columns[near], gutter[near]
         filled[row, gutter] = image[(rows - top) % height, (columns - left) % width]
     return filled
 

@@ -27,6 +27,9 @@ from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
 Format = Literal["glb", "obj", "ply"]
 LARGEST = 2048  # pixels on the longer side of an atlas, unless more are asked for
 SMALLEST = 16  # that may be asked for
+GUTTER = (
+    1 / 32
+)  # of an atlas, filled around charts: copies of the image down to 32 pixels show no other colour
 CHUNK = 1 << 18  # texels decoded at a time
 VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
 
@@ -115,7 +118,7 @@ def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Baked:
         new, texels = resized(image, atlas.height, atlas.width).copy(), atlas.texels
         for start in range(0, len(texels), CHUNK):
             new.reshape(-1, 3)[texels[start : start + CHUNK]] = quantized(next(colors))
-        images.append(fill_gutter(new, atlas.covered))
+        images.append(fill_gutter(new, atlas.covered, max(2.0, GUTTER * max(atlas.height, atlas.width))))
     return Baked(tuple(images), np.zeros((0, 3), np.float32))
 
 
