@@ -27,9 +27,8 @@ from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
 Format = Literal["glb", "obj", "ply"]
 LARGEST = 2048  # pixels on the longer side of an atlas, unless more are asked for
 SMALLEST = 16  # that may be asked for
-GUTTER = (
-    1 / 32
-)  # of an atlas, filled around charts: copies of the image down to 32 pixels show no other colour
+# Of an atlas, filled around charts: enough for its copies of 32 pixels and more.
+GUTTER = 1 / 32
 CHUNK = 1 << 18  # texels decoded at a time
 VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
 
