@@ -13,7 +13,7 @@ from flx.mesh.remesh.features import features
 from flx.mesh.remesh.smoothing import Surface
 from flx.mesh.remesh.stars import sharpest_cosines
 from flx.mesh.topology import any_of, mark, topology
-from flx.mesh.vectors import area_normals, dot, sum_at, unit
+from flx.mesh.vectors import area_normals, dot, unit, vertex_normals
 from flx.types import Triangulation
 
 EASY = 0.7  # what is closer is close enough
@@ -128,7 +128,7 @@ def _doubtful(vertices, faces, surface, gap):
 def _leaning(vertices, faces):
     """Which faces lean against the normal of a corner."""
     normals = area_normals(vertices, faces)
-    corners = unit(sum_at(faces, normals, len(vertices)))
+    corners = vertex_normals(faces, normals, len(vertices))
     normals = unit(normals)
     return np.minimum.reduce([dot(normals, np.take(corners, faces[:, k], 0)) for k in range(3)]) < SLOPE
 

@@ -137,10 +137,10 @@ def smooth(
         area = length_of(normals)
         a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
         centroids = (a + b + c) * (area / 3)[:, None]
-        vertex_normals = unit(sum_at(faces, normals, count))
+        outward = vertex_normals(faces, normals, count)
         weight = np.bincount(faces.ravel(), np.repeat(area, 3), count)
         step = sum_at(faces, centroids, count) / np.maximum(weight, 1e-300)[:, None] - vertices
-        step -= dot(step, vertex_normals)[:, None] * vertex_normals
+        step -= dot(step, outward)[:, None] * outward
         a, b = topo.edges[feature].T
         along = sum_at(a[:, None], vertices[b], count) + sum_at(b[:, None], vertices[a], count)
         step[kind == 1] = along[kind == 1] / 2 - vertices[kind == 1]
@@ -148,7 +148,7 @@ def smooth(
         if pinned is not None:
             step[pinned] = 0
         wanted = vertices + 0.6 * step
-        moved, landed = surface.land(wanted, vertex_normals, kind, edge_of_surface)
+        moved, landed = surface.land(wanted, outward, kind, edge_of_surface)
         moved[~landed] = vertices[~landed]
         if pinned is not None:
             moved[pinned] = vertices[pinned]
