@@ -113,6 +113,29 @@ def test_a_glb_goes_out_as_an_obj_where_its_nodes_put_it(tmp_path):
     assert there.vertices.min(0).tolist() == [1, 2, 3] and len(there.faces) == 4
 
 
+def test_an_obj_made_of_a_glb_has_its_normals_and_names_each_thing_once(tmp_path):
+    """No material that no face uses; as many names of parts as parts."""
+    text = OBJ.replace("v 0 0 1.1", "v 0 0 1.1\nvn 0.6 0.8 0")
+    text = "".join(
+        " ".join([line.split()[0], *(f"{c}/1" for c in line.split()[1:])]) + "\n" if line[0] == "f" else line
+        for line in text.splitlines(keepends=True)
+    )
+    textured(tmp_path).write_text(text)
+    write_glb(asset := read_asset(tmp_path / "mesh.obj"), asset.mesh.textures, tmp_path / "a.glb")
+    source = read_asset(tmp_path / "a.glb")
+    source = source._replace(
+        parts=tuple(p._replace(name=n) for p, n in zip(source.parts, "aab", strict=True))
+    )
+    (tmp_path / "out").mkdir()
+    write_obj(source, source.mesh.textures, tmp_path / "out" / "new.obj")
+    lines = (tmp_path / "out" / "new.obj").read_text().splitlines()
+    assert [line for line in lines if line[:2] == "o "] == ["o a", "o a_1", "o b"]
+    library = (tmp_path / "out" / "new.mtl").read_text()
+    assert library.count("newmtl") == 3 and "default" not in library
+    for part in read_asset(tmp_path / "out" / "new.obj").parts:
+        np.testing.assert_allclose(part.normals, [[0.6, 0.8, 0]] * len(part.positions), atol=1e-6)
+
+
 @pytest.mark.parametrize("format", ["obj", "ply"])
 def test_vertex_colours_are_read_back_by_trimesh(tmp_path, format):
     asset = read_asset(colored(tmp_path))

@@ -190,6 +190,36 @@ def test_a_mirrored_node_keeps_faces_counter_clockwise_from_outside():
     assert np.cross(b - a, c - a)[2] > 0  # the quad faced +z before it was mirrored in x, and does still
 
 
+@pytest.mark.parametrize("mirror", [1, -1])
+def test_normals_stay_perpendicular_to_their_faces_under_any_transform(mirror):
+    """And of length one, on the same side; a transform that flattens leaves them finite."""
+    gltf, rng = container(), np.random.default_rng(0)
+    points = rng.normal(size=(6, 3)).astype(np.float32)
+    a, b, c = points[:3], points[3:], points[[1, 2, 0]]
+    normals = 7 * np.cross(b - a, c - a).astype(np.float32)
+    rows = np.stack([a, b, c], 1).reshape(-1, 3)
+    views = [rows.tobytes(), np.repeat(normals, 3, 0).tobytes()]
+    gltf.document["accessors"] = [
+        {"bufferView": i, "componentType": 5126, "count": 9, "type": "VEC3"} for i in (0, 1)
+    ]
+    gltf.document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 0, "NORMAL": 1}}]
+    gltf.document["bufferViews"] = [{}, {}]
+    matrix = np.eye(4)
+    matrix[:3, :3] = rng.normal(size=(3, 3))
+    matrix[0, :3] *= mirror * np.sign(np.linalg.det(matrix[:3, :3]))
+    gltf.document["nodes"][1] = {"mesh": 0, "matrix": matrix.T.ravel().tolist()}
+    (part,) = parts(Gltf(gltf.document, tuple(views)))
+    assert part.normals is not None
+    x, y, z = np.moveaxis(part.positions[part.faces], 1, 0)
+    wanted = np.cross(y - x, z - x)
+    wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
+    np.testing.assert_allclose(part.normals[part.faces], np.repeat(wanted[:, None], 3, 1), atol=1e-5)
+    for flat in ([1, 1, 0], [0, 0, 0]):
+        matrix = np.diag([*map(float, flat), 1.0]).ravel().tolist()
+        gltf.document["nodes"][1] = {"mesh": 0, "matrix": matrix}
+        assert np.isfinite(parts(Gltf(gltf.document, tuple(views)))[0].normals).all()
+
+
 def test_texture_transform_moves_the_coordinates():
     gltf = container()
     slot = gltf.document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]

@@ -7,7 +7,7 @@ file is there whole or not at all, and the OBJ comes last: it never names what i
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +40,10 @@ def write_obj(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
     if isinstance(asset.container, ObjSource):
         obj_source.write_painted(asset.container, _painted(asset, files), _fresh_name(asset), path)
         return
-    library = []
-    for name, paint in zip(_material_names(asset), asset.paints, strict=True):
+    library, used = [], {part.material for part in asset.parts}
+    for number, (name, paint) in enumerate(zip(_material_names(asset), asset.paints, strict=True)):
+        if number not in used:
+            continue
         color = (1.0, 1.0, 1.0) if paint.texture in files else paint.color
         library += [f"newmtl {name}", "Kd {} {} {}".format(*map(float, color))]
         library += [f"map_Kd {files[paint.texture]}"] if paint.texture in files else []
@@ -158,7 +160,8 @@ def _obj_lines(asset: Asset, library: str | None, colors: Float32[Any, "V 3"] | 
     rows = np.concatenate([part.positions for part in asset.parts])
     yield from _numbers("v", rows if colors is None else np.concatenate([rows, colors], 1))
     names, normals, uvs = _material_names(asset), 0, 0
-    for part, faces in zip(asset.parts, _numbered_faces(asset), strict=True):
+    parts = zip(asset.parts, _words(part.name for part in asset.parts), _numbered_faces(asset), strict=True)
+    for part, name, faces in parts:
         corners = [faces + 1]
         if part.uvs is not None:
             yield from _numbers("vt", part.uvs * [1, -1] + [0, 1])
@@ -168,7 +171,7 @@ def _obj_lines(asset: Asset, library: str | None, colors: Float32[Any, "V 3"] | 
             yield from _numbers("vn", part.normals)
             corners.append(part.faces + normals + 1)
             normals += len(part.normals)
-        yield f"o {_word(part.name)}"
+        yield f"o {name}"
         if library:
             yield f"usemtl {names[part.material]}"
         between = "//" if part.uvs is None else "/"
@@ -196,12 +199,17 @@ def _numbered_faces(asset: Asset) -> Iterator[Int[Any, "F 3"]]:
 
 
 def _material_names(asset: Asset) -> list[str]:
-    """One word for each material, none twice."""
-    names: list[str] = []
-    for paint in asset.paints:
-        word = _word(paint.name)
-        names.append(word if word not in names else f"{word}_{len(names)}")
-    return names
+    return _words(paint.name for paint in asset.paints)
+
+
+def _words(names: Iterable[str]) -> list[str]:
+    """One word for each name, none twice."""
+    words: dict[str, None] = {}
+    for number, word in enumerate(map(_word, names)):
+        while word in words:
+            word += f"_{number}"
+        words[word] = None
+    return list(words)
 
 
 def _word(name: str) -> str:

@@ -50,7 +50,7 @@ class Part(NamedTuple):
     name: str
     material: int  # index into the materials of the asset
     positions: Float64[Any, "V 3"]  # in the scene: node transforms applied
-    normals: Float64[Any, "V 3"] | None  # None where the container keeps them
+    normals: Float64[Any, "V 3"] | None  # in the scene, too
     uvs: Float64[Any, "V 2"] | None  # right and down
     colors: Float32[Any, "V 3"] | None  # sRGB
     faces: Int[Any, "F 3"]
@@ -271,13 +271,17 @@ def parts(gltf: Gltf) -> list[Part]:
             name=document["meshes"][mesh].get("name", f"mesh {mesh}"),
             material=material,
             positions=points,
-            normals=None,
+            normals=_normals(gltf, attributes, world[:3, :3]),
             uvs=_uvs(gltf, attributes, slot),
             colors=_colors(gltf, attributes),
             faces=faces[:, ::-1].copy() if mirrored else faces,
             origin=(node, number),
         )
-        for rows, what in ((part.uvs, "texture coordinates"), (part.colors, "colours")):
+        for rows, what in (
+            (part.normals, "normals"),
+            (part.uvs, "texture coordinates"),
+            (part.colors, "colours"),
+        ):
             if rows is not None and len(rows) != len(points):
                 raise BadFile(
                     f"{part.name!r} has {len(rows)} {what} for {len(points)} vertices; export it again"
@@ -328,6 +332,21 @@ def _faces(gltf: Gltf, primitive: dict, points: int) -> Int[Any, "F 3"]:
     strip = np.stack([order[:-2], order[1:-1], order[2:]], 1)
     strip[1::2, :2] = strip[1::2, 1::-1]
     return strip
+
+
+def _normals(gltf: Gltf, attributes: dict, world: Float64[Any, "3 3"]) -> Float64[Any, "V 3"] | None:
+    """Unit normals under the inverse transpose of a transform; 0 for what has no direction.
+
+    By cofactors, which are det times that: a transform that flattens has them, too.
+    """
+    if "NORMAL" not in attributes:
+        return None
+    x, y, z = world.T
+    with np.errstate(all="ignore"):
+        turned = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
+        turned = turned / np.abs(turned).max() * (-1 if np.linalg.det(world) < 0 else 1)
+        normals = _attribute(gltf, attributes, "NORMAL", (3,)).astype(np.float64) @ turned
+        return np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True), posinf=0, neginf=0)
 
 
 def _uvs(gltf: Gltf, attributes: dict, slot: dict) -> Float64[Any, "V 2"] | None:
