@@ -11,6 +11,7 @@ from PIL import Image
 
 from flx.mesh.assets import Asset, read_asset, write_glb
 from flx.mesh.exports import check_room, left_behind, write_obj, write_obj_colors
+from flx.mesh.formats.gltf import read_gltf
 from flx.mesh.formats.mtl import files_named, parse_mtl, renamed, repainted
 from flx.mesh.formats.obj_source import ObjSource, write_copy
 from flx.pipeline.bake import check_output, prepared_for
@@ -407,6 +408,44 @@ def test_faces_that_repair_drops_do_not_darken_what_lies_under_them(tmp_path):
 
 
 # --- other formats
+
+
+@pytest.mark.parametrize(
+    "says, factor, mode",
+    [
+        ("", None, "OPAQUE"),  # a picture's alpha that no material speaks of
+        ("map_d {}", None, "BLEND"),
+        ("map_d other.png", None, "OPAQUE"),
+        ("d 1\nTr 1", None, "OPAQUE"),  # d is the specification's
+        ("Tr 0.25", 0.75, "BLEND"),
+        ("d -halo 0.5\nmap_d {}", 0.5, "BLEND"),
+        ("d 7", None, "OPAQUE"),
+        ("d nan", None, "OPAQUE"),
+    ],
+)
+@pytest.mark.parametrize("alpha", [77, 255, 0])
+def test_a_glb_is_as_opaque_as_the_materials_say(tmp_path, says, factor, mode, alpha):
+    """Alpha of nothing between is a mask; of 255 it is none."""
+    name = "textures/wood grain.png"
+    path = saved(tmp_path, mtl=f"newmtl wood\nmap_Kd {name}\n{says.format(name)}\nnewmtl bone white\nd 0.5")
+    image = Image.new("RGBA", (8, 4), (10, 20, 30, alpha))
+    image.save(tmp_path / name)
+    asset = read_asset(path)
+    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    wood, bone = read_gltf(tmp_path / "out.glb").document["materials"]  # none for the faces there are not
+    wanted = {77: mode, 255: "BLEND" if factor else "OPAQUE", 0: "MASK" if mode == "BLEND" else mode}[alpha]
+    assert wood.get("alphaMode", "OPAQUE") == ("BLEND" if factor else wanted)
+    assert wood["pbrMetallicRoughness"].get("baseColorFactor") == (factor and [1, 1, 1, factor])
+    assert bone["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 0.5] and bone["alphaMode"] == "BLEND"
+
+
+@pytest.mark.parametrize("more, name", [("", "cube"), ("\no second\n", "mesh"), ("\no cube\n", "cube")])
+def test_a_glb_is_called_like_the_one_object_of_an_obj(tmp_path, more, name):
+    path = saved(tmp_path, CUBE + more).rename(tmp_path / "mesh.obj")
+    asset = read_asset(path)
+    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    document = read_gltf(tmp_path / "out.glb").document
+    assert document["nodes"][0]["name"] == document["meshes"][0]["name"] == name
 
 
 def test_what_stays_behind_in_another_format_is_said_in_one_line(tmp_path, capsys):

@@ -19,9 +19,9 @@ from jaxtyping import Float32, Float64, Int, UInt8
 
 from flx.mesh.formats import glb
 from flx.mesh.formats.files import BadFile, read_file, write_atomically
-from flx.mesh.formats.gltf import Gltf, Paint, Part
+from flx.mesh.formats.gltf import Gltf, Material, Paint, Part
 from flx.mesh.formats.images import check_together, decode_image, encode_png, told_of
-from flx.mesh.formats.obj_source import ObjSource
+from flx.mesh.formats.obj_source import ObjSource, only_object
 from flx.mesh.formats.readers import READERS, Contents
 from flx.mesh.repair import Repaired, repair
 from flx.types import TexturedMesh
@@ -234,7 +234,7 @@ def _assemble(
         corner_colors=np.zeros((len(corners), 3, 3), np.float32) if images else colors[corners],
     )
     _check_measures(mesh)
-    paints = [Paint(m.name, texture_of.get(i, -1), m.color) for i, m in enumerate(contents.materials)]
+    paints = [_paint(m, texture_of.get(i, -1), textures) for i, m in enumerate(contents.materials)]
     return Asset(
         path=path,
         mesh=mesh,
@@ -246,6 +246,15 @@ def _assemble(
         container=contents.container,
         digest=_digest(mesh),
     )
+
+
+def _paint(material: Material, texture: int, textures: list[Texture]) -> Paint:
+    """Alpha counts where the material says so: a picture's own alpha may be anything that was left there."""
+    own = texture >= 0 and material.opacity_image == textures[texture].name
+    alpha = textures[texture].alpha if own else None
+    mode = "OPAQUE" if alpha is None else "MASK" if np.isin(alpha, (0, 255)).all() else "BLEND"
+    mode = "BLEND" if material.opacity < 1 else mode
+    return Paint(material.name, texture, material.color, material.opacity, mode)
 
 
 def _check_measures(mesh: TexturedMesh) -> None:
@@ -329,7 +338,7 @@ def write_glb(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
         shown = {i: paint.texture for i, paint in enumerate(asset.paints) if paint.texture in pngs}
         file = glb.replace_base_color(asset.container, shown, pngs)
     else:
-        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, pngs)
+        file = glb.build_gltf(_name(asset), asset.parts, asset.paints, pngs)
     write_atomically(Path(path), glb.glb_bytes(file))
 
 
@@ -348,5 +357,11 @@ def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
         origins = [part.origin for part in asset.parts]
         file = glb.replace_colors(asset.container, dict(zip(origins, each, strict=True)))
     else:
-        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, {}, each)
+        file = glb.build_gltf(_name(asset), asset.parts, asset.paints, {}, each)
     write_atomically(Path(path), glb.glb_bytes(file))
+
+
+def _name(asset: Asset) -> str:
+    """What the one object of an OBJ is called; else the file."""
+    found = only_object(asset.container) if isinstance(asset.container, ObjSource) else ""
+    return found or asset.path.stem

@@ -172,7 +172,8 @@ def build_gltf(
     """A new file for triangles that came from another format: one mesh, a primitive for each part.
 
     `pngs` holds the images of `Paint.texture`; `colors` are sRGB, one array for each part. Scans carry their
-    light in the texture: not metallic, fully rough. OBJ and PLY know no culling: double sided.
+    light in the texture: not metallic, fully rough. OBJ and PLY know no culling: double sided. A material
+    that no part has is left out.
     """
     document: dict = {"asset": {"version": "2.0", "generator": "flx"}, "scene": 0, "scenes": [{"nodes": [0]}]}
     views: list[bytes] = []
@@ -182,14 +183,21 @@ def build_gltf(
         images[texture] = append(document, "textures", {"source": len(images)})
         append(document, "images", {"name": f"base color {texture}"})
         _put_image(document, views, images[texture], png)
-    for paint in paints:
+    number_of: dict[int, int] = {}
+    for number in sorted({part.material for part in parts}):
+        paint = paints[number]
         pbr: dict = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        color = [1.0, 1.0, 1.0]
         if paint.texture in images:
             pbr["baseColorTexture"] = {"index": images[paint.texture]}
         elif colors is None:
-            pbr["baseColorFactor"] = [*linear(np.array(paint.color)).tolist(), 1.0]
+            color = linear(np.array(paint.color)).tolist()
+        if [*color, paint.opacity] != [1.0] * 4:
+            pbr["baseColorFactor"] = [*color, paint.opacity]
         material = {"name": paint.name, "pbrMetallicRoughness": pbr, "doubleSided": True}
-        append(document, "materials", material)
+        if paint.alpha_mode != "OPAQUE":
+            material["alphaMode"] = paint.alpha_mode
+        number_of[number] = append(document, "materials", material)
     for i, part in enumerate(parts):
         rows = {"POSITION": part.positions, "NORMAL": part.normals, "TEXCOORD_0": part.uvs}
         rows["COLOR_0"] = None if colors is None else linear(colors[i])
@@ -199,7 +207,7 @@ def build_gltf(
             if value is not None
         }
         indices = _append_rows(document, views, part.faces.reshape(-1, 1).astype(np.uint32))
-        primitive = {"attributes": attributes, "indices": indices, "material": part.material}
+        primitive = {"attributes": attributes, "indices": indices, "material": number_of[part.material]}
         document["meshes"][0]["primitives"].append(primitive)
     return Gltf(document, tuple(views))
 

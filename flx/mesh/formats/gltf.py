@@ -63,6 +63,8 @@ class Material(NamedTuple):
     name: str
     color: tuple[float, float, float]  # sRGB
     image: str | None
+    opacity: float = 1.0
+    opacity_image: str | None = None  # whose alpha counts
 
 
 class Paint(NamedTuple):
@@ -71,6 +73,8 @@ class Paint(NamedTuple):
     name: str
     texture: int
     color: tuple[float, float, float]
+    opacity: float = 1.0
+    alpha_mode: str = "OPAQUE"  # as glTF names them; of a glTF itself the container knows
 
 
 def srgb(linear: Num[Any, "..."]) -> Float64[Any, "..."]:

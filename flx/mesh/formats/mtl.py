@@ -107,21 +107,32 @@ def _is_number(word: bytes) -> bool:
 
 
 def parse_mtl(content: bytes) -> dict[str, Mapped]:
-    """Materials by name: their diffuse colour, its image, read as sRGB, and how that lies on the surface.
+    """Materials by name: their diffuse colour and its image, read as sRGB, how that lies on the surface,
+    and how opaque they are.
 
     Raises BadFile where Kd is no number.
     """
     materials: dict[str, Mapped] = {}
-    name = ""
+    name, dissolved = "", set()  # where d is said, Tr (1 − d) is not listened to
     for statement in statements(content):
         values = _text(statement.value).split()
         if statement.key == "newmtl":
             name = material_name(statement)
             materials[name] = Mapped(Material(name, (1.0, 1.0, 1.0), None))
+            dissolved.discard(name)
         elif statement.key == "kd" and name and len(values) >= 3:
             r, g, b = np.nan_to_num(numbers(" ".join(values[:3]))).clip(0, 1).tolist()
             old = materials[name]
             materials[name] = old._replace(material=old.material._replace(color=(r, g, b)))
+        elif statement.key in ("d", "tr") and name and values and _is_number(statement.value.split()[-1]):
+            if statement.key == "d" or name not in dissolved:
+                opacity = float(values[-1]) if statement.key == "d" else 1 - float(values[-1])
+                old, opacity = materials[name], min(max(opacity, 0.0), 1.0)
+                materials[name] = old._replace(material=old.material._replace(opacity=opacity))
+            dissolved |= {name} if statement.key == "d" else set()
+        elif statement.key == "map_d" and name and (file := file_name(statement)):
+            old = materials[name]
+            materials[name] = old._replace(material=old.material._replace(opacity_image=file.name))
         elif statement.key == "map_kd" and name and (file := file_name(statement)):
             kept = {o: v for o, v in file.options.items() if o not in ("-s", "-o")}
             materials[name] = Mapped(

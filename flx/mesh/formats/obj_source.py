@@ -43,6 +43,7 @@ REST = GAP + rb"*+(?P<value>(?:" + NEXT_LINE + rb"|[^\r\n])*+)"
 CONTINUED = (b"\\\n", b"\\\r", b"\\\r\n")
 LIBRARY = re.compile(rb"mtllib(?=[\s\\]|\Z)" + REST)
 USE = re.compile(rb"usemtl(?=[\s\\]|\Z)" + REST)
+OBJECT = re.compile(rb"o(?=[\s\\])" + REST)
 FACE = re.compile(rb"f(?=[\s\\])")
 NUMBER = GAP + rb"++([^\s\\#]++)"
 COLORED = re.compile(START + rb"v" + 6 * NUMBER)  # groups 4 to 6 are the colour
@@ -191,6 +192,12 @@ def write_colored(source: ObjSource, rows: Int[Any, "N"], colors: Float32[Any, "
 def write_copy(source: ObjSource, path: Path) -> None:
     """The OBJ with all its files, unchanged but for the names of the MTL files."""
     _write(source, source.libraries, source.text, path)
+
+
+def only_object(source: ObjSource) -> str:
+    """The name of the one object there is; "" without one, and where there are several."""
+    names = {found["value"].strip() for found in _statements(OBJECT, source.text)}
+    return names.pop().decode(errors="replace") if len(names) == 1 else ""
 
 
 def material_names(source: ObjSource) -> set[str]:
