@@ -182,6 +182,24 @@ def test_a_ply_is_not_written_from_textures(tmp_path):
         check_output(read_asset(textured(tmp_path)), "ply", [tmp_path / "out.ply"])
 
 
+def test_what_a_new_ply_will_not_have_is_named_in_one_line(tmp_path, capsys):
+    head = ["ply", "format ascii 1.0", "comment hi", "obj_info there", "element vertex 4"]
+    head += [f"property float {name}" for name in ("x", "y", "z", "quality", "s", "t")]
+    head += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha")]
+    head += ["element face 1", "property list uchar int vertex_indices", "property int flags"]
+    head += ["element edge 1", "property int vertex1", "end_header"]
+    rows = [f"{x} {y} 0 0.5 {x} {y} 9 99 199 7" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    (tmp_path / "a.ply").write_text("\n".join([*head, *rows, "4 0 1 2 3 5", "0", ""]))
+    asset = read_asset(tmp_path / "a.ply")
+    told = "1 polygon, vertex quality, vertex alpha, face flags, 1 × edge, 2 comments"
+    for format, more in (("ply", ", ASCII text, texture coordinates"), ("glb", ""), ("obj", "")):
+        check_output(asset, format, [tmp_path / f"out.{format}"])
+        assert capsys.readouterr().err == f"{asset.path}: {told}{more} stay behind\n"
+    write_ply_colors(asset, np.zeros((4, 3), np.float32), tmp_path / "out.ply")
+    check_output(read_asset(tmp_path / "out.ply"), "ply", [tmp_path / "b.ply"])
+    assert capsys.readouterr().err == ""
+
+
 # --- unwrapping
 
 

@@ -369,11 +369,35 @@ def test_a_spoilt_file_is_one_line_that_names_it(tmp_path, spoil, match):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_the_maps_that_an_obj_would_not_have_are_named(tmp_path, capsys):
-    asset = read_asset(save(container(occlusion_shares=True), tmp_path / "a.glb"))
-    for format, said in (
-        ("glb", ""),
-        ("obj", f"{asset.path}: image 1, image 2 stay behind; --format glb keeps all\n"),
-    ):
+def test_what_an_obj_would_not_have_is_named_in_one_line(tmp_path, capsys):
+    gltf = container(occlusion_shares=True)
+    document = gltf.document
+    document["images"][1]["name"] = "two\nlines"
+    document["materials"][0]["pbrMetallicRoughness"] |= {"roughnessFactor": 0.7, "metallicFactor": 0}
+    document["materials"][0]["emissiveFactor"] = [1, 1, 1]
+    document["meshes"][0]["primitives"][0]["attributes"] |= {"TEXCOORD_1": 1, "TANGENT": 0}
+    document |= {"extensionsUsed": ["KHR_texture_transform", "KHR_materials_sheen"], "cameras": [{}]}
+    document["asset"]["copyright"] = "me"
+    asset = read_asset(save(gltf, tmp_path / "a.glb"))
+    told = "two lines, image 2, baseColorFactor, alphaMode, roughnessFactor, emissiveFactor, TEXCOORD_1, "
+    told += "TANGENT, lines and points, cameras, KHR_materials_sheen, 2 nodes, copyright, extras"
+    for format, said in (("glb", ""), ("obj", f"{asset.path}: {told} stay behind; --format glb keeps all\n")):
         check_output(asset, format, [tmp_path / f"out.{format}"])
         assert capsys.readouterr().err == said
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_file_that_is_not_there_and_is_still_named_is_told(tmp_path, capsys, given):
+    """The base colour's image is replaced: it is named no more."""
+    gltf = container()
+    for image in range(3):
+        if given or image == 2:
+            gltf.document["images"][image] = {"uri": f"gone {image}.png"}
+    (tmp_path / "a.png").write_bytes(png((1, 2, 3)))
+    gltf.document["materials"][1]["pbrMetallicRoughness"]["baseColorTexture"]["index"] = 0
+    asset = read_asset(save(gltf, tmp_path / "a.glb"), tmp_path / "a.png" if given else None)
+    told = "gone 1.png, gone 2.png" if given else "gone 2.png"
+    check_output(asset, "glb", [tmp_path / "out.glb"])
+    assert capsys.readouterr().err == f"{asset.path}: not there, but named in what is written: {told}\n"
+    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    assert ", ".join(read_asset(tmp_path / "out.glb").report.missing_images) == told

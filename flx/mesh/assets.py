@@ -71,6 +71,7 @@ class Report(NamedTuple):
     textures: tuple[str, ...]
     missing_images: tuple[str, ...]  # of other maps, or not to be copied; the reference is kept as it is
     ignored_options: tuple[str, ...]  # of map_Kd; kept as they are
+    unread: tuple[str, ...]  # of a PLY: properties, elements, comments that flx makes nothing of
 
 
 class Asset(NamedTuple):
@@ -311,6 +312,7 @@ def _report(
         textures=tuple(map(_told, textures, mesh.textures)),
         missing_images=contents.missing_images,
         ignored_options=contents.ignored_options,
+        unread=contents.unread,
     )
 
 

@@ -226,6 +226,7 @@ def describe(report: Report, findings: Findings | None = None) -> str:
         *(("texture", name) for name in report.textures),
         *(("other map, not here, left alone", name) for name in report.missing_images),
         *(("option of map_Kd, kept, not applied", option) for option in report.ignored_options),
+        *(("in the file, not read", what) for what in report.unread),
         *(_describe_findings(findings) if findings else ()),
     ]
     width = max(len(label) for label, _ in lines)

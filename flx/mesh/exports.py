@@ -2,8 +2,8 @@
 
 What came as OBJ goes out as the same OBJ (`formats.obj_source`). All else is written anew from the triangles
 and coordinates of its parts: names of parts and materials are kept, node transforms are applied, numbers are
-exact. What the formats cannot say (other maps, extras, alpha of vertices) stays behind; a GLB keeps it. Every
-file is there whole or not at all, and the OBJ comes last: it never names what is not there yet.
+exact. What the formats cannot say stays behind (`flx.mesh.losses`). Every file is there whole or not at all,
+and the OBJ comes last: it never names what is not there yet.
 """
 
 import re
@@ -17,8 +17,6 @@ from jaxtyping import Float32, Float64, Int, Num, UInt8
 from flx.mesh.assets import Asset
 from flx.mesh.formats import obj_source
 from flx.mesh.formats.files import write_atomically
-from flx.mesh.formats.glb import other_images
-from flx.mesh.formats.gltf import Gltf
 from flx.mesh.formats.images import encode_png, quantized
 from flx.mesh.formats.obj_source import ObjSource
 
@@ -91,19 +89,9 @@ def _fresh_name(asset: Asset) -> str:
     return name
 
 
-def left_behind(asset: Asset, format: str) -> str:
-    """What the file has that a file of another format will not have: maps, polygons. Empty: nothing."""
-    source = asset.container
-    if isinstance(source, Gltf) and format != "glb":
-        return ", ".join(other_images(source))
-    if isinstance(source, ObjSource) and format != "obj":
-        polygons = [f"{asset.report.polygons:,} polygons"] if asset.report.polygons else []
-        return ", ".join(_other_maps(asset, source) + polygons)
-    return ""
-
-
-def _other_maps(asset: Asset, source: ObjSource) -> list[str]:
-    return obj_source.other_maps(source, _painted(asset, image_files(asset, asset.path)))
+def names_beside(asset: Asset, source: ObjSource) -> list[str]:
+    """The files that the libraries of an OBJ name, besides the images that are painted anew."""
+    return obj_source.other_names(source, _painted(asset, image_files(asset, asset.path)))
 
 
 def check_room(asset: Asset, path: Path, beside: Sequence[Path] = ()) -> None:
@@ -120,7 +108,7 @@ def check_room(asset: Asset, path: Path, beside: Sequence[Path] = ()) -> None:
         own += [source.folder / name for name in (*source.libraries, *source.maps)]
         if path.suffix == ".obj":
             files += obj_source.library_files(source, path).values()
-            others = _other_maps(asset, source)
+            others = [name for name in names_beside(asset, source) if name in source.maps]
             obj_source.check_maps(source, others, path.parent)
             own += [path.parent / source.maps[name] for name in others]
     taken = {file.resolve() for file in own}

@@ -6,7 +6,7 @@ index and their bytes. Every file is self-contained.
 
 import json
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -136,6 +136,21 @@ def other_images(gltf: Gltf) -> list[str]:
     images = document.get("images", [])
     others = sorted(i for i in _images_of_other_slots(document, slots) if i >= 0)
     return [str(images[i].get("name") or images[i].get("uri") or f"image {i}") for i in others]
+
+
+def missing_images(gltf: Gltf, painted: Iterable[int]) -> list[str]:
+    """The files of images that are not there, less those that new base colours of some materials replace."""
+    document = gltf.document
+    materials, images = document.get("materials", []), document.get("images", [])
+    slots = [base_slot(material) for material in materials]
+    new = {
+        texture_image(document, slots[m]["index"]) for m in painted if m < len(slots) and "index" in slots[m]
+    } - _images_of_other_slots(document, slots)
+    return [
+        str(image.get("uri", "an image without data"))
+        for i, image in enumerate(images)
+        if "bufferView" not in image and i not in new
+    ]
 
 
 def _put_image(document: dict, views: list[bytes], image: int, png: bytes) -> None:

@@ -27,6 +27,7 @@ MAPS = {"bump", "disp", "decal", "refl", "norm"}  # and all that begin with map_
 NO_FILE = {"map_aat"}  # a switch
 OPTIONS = {b"-mm": 2, b"-o": 3, b"-s": 3, b"-t": 3}  # numbers that follow, at most; one word otherwise
 FLAGS = {b"-blendu", b"-blendv", b"-bm", b"-boost", b"-cc", b"-clamp", b"-imfchan", b"-texres", b"-type"}
+READ = {"newmtl", "kd", "d", "tr", "map_kd"}
 MOST_MAPS = 1 << 12
 
 
@@ -155,6 +156,12 @@ def files_named(content: bytes) -> list[str]:
     if len(names) > MOST_MAPS:
         raise BadFile(f"{len(names):,} maps, more than {MOST_MAPS:,}; leave some out")
     return list(names)
+
+
+def properties(content: bytes) -> list[str]:
+    """What a library says of materials besides the files it names and what `parse_mtl` reads."""
+    keys = dict.fromkeys(s.key for s in statements(content) if file_name(s) is None and s.key not in READ)
+    return [key.capitalize() if len(key) == 2 else key for key in keys]
 
 
 def renamed(content: bytes, names: Mapping[str, str]) -> bytes:

@@ -44,6 +44,8 @@ CONTINUED = (b"\\\n", b"\\\r", b"\\\r\n")
 LIBRARY = re.compile(rb"mtllib(?=[\s\\]|\Z)" + REST)
 USE = re.compile(rb"usemtl(?=[\s\\]|\Z)" + REST)
 OBJECT = re.compile(rb"o(?=[\s\\])" + REST)
+STRUCTURE = re.compile(rb"(?P<key>[ogs])(?=[\s\\])" + REST)
+LINE = re.compile(rb"[lp](?=[\s\\])")
 FACE = re.compile(rb"f(?=[\s\\])")
 NUMBER = GAP + rb"++([^\s\\#]++)"
 COLORED = re.compile(START + rb"v" + 6 * NUMBER)  # groups 4 to 6 are the colour
@@ -200,6 +202,21 @@ def only_object(source: ObjSource) -> str:
     return names.pop().decode(errors="replace") if len(names) == 1 else ""
 
 
+def structure(source: ObjSource) -> dict[str, int]:
+    """How many objects, groups and smoothing groups the text has; no smoothing counts none."""
+    names: dict[bytes, set[bytes]] = {b"o": set(), b"g": set(), b"s": set()}
+    for found in _statements(STRUCTURE, source.text):
+        names[found["key"]].add(found["value"].strip())
+    objects, groups, smooth = names.values()
+    smooth -= {b"off", b"0", b""}
+    return {"object": len(objects), "group": len(groups), "smoothing group": len(smooth)}
+
+
+def has_lines(source: ObjSource) -> bool:
+    """Whether the text has elements that are no faces: lines or points."""
+    return next(_statements(LINE, source.text), None) is not None
+
+
 def material_names(source: ObjSource) -> set[str]:
     """The materials that the libraries define."""
     found = [s for content in source.libraries.values() for s in statements(content) if s.key == "newmtl"]
@@ -256,10 +273,12 @@ def _naming(source: ObjSource, text: bytes, written: Mapping[str, str]) -> bytes
     return edited(text, edits)
 
 
-def other_maps(source: ObjSource, painted: Iterable[str]) -> list[str]:
-    """The files, as the libraries name them, that go along where materials get other base colours."""
+def other_names(source: ObjSource, painted: Iterable[str]) -> list[str]:
+    """The files, as the libraries name them, that are still named where materials get other base colours."""
     images = dict.fromkeys(painted, "\0")  # no file is called so
-    return _maps_of(source, [repainted(content, images) for content in source.libraries.values()])
+    libraries = [repainted(content, images) for content in source.libraries.values()]
+    names = dict.fromkeys(name for content in libraries for name in files_named(content))
+    return [name for name in names if name != "\0"]
 
 
 def _maps_of(source: ObjSource, libraries: Iterable[bytes]) -> list[str]:

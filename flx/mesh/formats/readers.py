@@ -30,6 +30,7 @@ class Contents(NamedTuple):
     missing_images: tuple[str, ...]
     polygons: int = 0  # faces of more than three corners, cut
     ignored_options: tuple[str, ...] = ()  # of map_Kd
+    unread: tuple[str, ...] = ()  # what else a PLY has
 
 
 def _read_gltf(path: Path) -> Contents:
@@ -104,6 +105,7 @@ def _read_ply(path: Path) -> Contents:
         container=None,
         missing_images=(),
         polygons=found.polygons,
+        unread=found.unread,
     )
 
 
