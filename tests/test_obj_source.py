@@ -9,13 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from flx.config import Surface
 from flx.mesh.assets import Asset, read_asset, write_glb
+from flx.mesh.doctor import describe
 from flx.mesh.exports import check_room, write_obj, write_obj_colors
-from flx.mesh.formats.gltf import read_gltf
+from flx.mesh.formats import glb
+from flx.mesh.formats.gltf import Gltf, read_gltf
 from flx.mesh.formats.mtl import files_named, parse_mtl, renamed, repainted
 from flx.mesh.formats.obj_source import ObjSource, write_copy
 from flx.mesh.losses import left_behind
 from flx.pipeline.bake import check_output, prepared_for
+from flx.pipeline.kept import keep
+from flx.pipeline.runs import Run
 
 # A cube of quads, a triangle pair and two materials; one face goes on in the next line.
 CUBE = """# made by hand, ünïcode
@@ -239,6 +244,73 @@ def test_an_absolute_path_into_the_folder_becomes_relative_for_the_file_goes_alo
         written = "newmtl wood\nmap_Kd textures/wood grain.png\nmap_Bump textures/bump.png\n"
         assert (folder.parent / "out" / "cube.mtl").read_text() == written
         assert read_asset(folder.parent / "out" / "cube.obj").digest == asset.digest
+
+
+FOREIGN = (
+    "C:\\Users\\Anna\\tex\\Grain.png",
+    "/home/anna/grain.png",
+    "\\\\server\\a\\grain.PNG",
+    "GRAIN.png",
+    ".\\GRAIN.png",
+)
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+@pytest.mark.parametrize("format", ["obj", "ply", "gltf"])
+def test_an_image_named_by_another_machine_or_otherwise_in_capitals_is_found_and_told(tmp_path, name, format):
+    """The file of that name beside the mesh, and what comes out names it as it is called."""
+    path = saved(tmp_path / "in", mtl=f"newmtl wood\nmap_Kd {name}\nmap_Bump {name}\n")
+    Image.new("RGB", (8, 4), (10, 20, 30)).save(path.parent / "grain.png")
+    if (path.parent / "GRAIN.png").exists() and "GRAIN" in name:
+        pytest.skip("this disk does not tell capitals apart: the name is right as it is")
+    if format == "ply":
+        path = path.with_suffix(".ply")
+        head = f"ply\nformat ascii 1.0\ncomment TextureFile {name}\nelement vertex 3\n"
+        head += "".join(f"property float {k}\n" for k in "xyzst")
+        head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        path.write_text(head + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n")
+    elif format == "gltf":
+        asset = read_asset(path)
+        document, views = glb.build_gltf("a", asset.parts, asset.paints, {0: b""})[:2]
+        document["images"][0] = {"uri": name}
+        path = path.with_suffix(".glb")
+        path.write_bytes(glb.glb_bytes(Gltf(document, views)))
+    asset = read_asset(path)
+    assert (asset.mesh.textures[0] == [10, 20, 30]).all()
+    assert asset.report.found_images == (f"'{name}' → grain.png",) and not asset.report.missing_images
+    assert f"'{name}' → grain.png" in describe(asset.report)
+    run = Run(tmp_path / "run")
+    assert keep(asset, run, Surface(path=str(path))).digest == asset.digest
+    if format == "obj":
+        (tmp_path / "out").mkdir()
+        write_obj(asset, asset.mesh.textures, tmp_path / "out" / "new.obj")
+        wanted = b"newmtl wood\nmap_Kd new_0.png\nmap_Bump grain.png\n"
+        assert (tmp_path / "out" / "new.mtl").read_bytes() == wanted
+        assert files(tmp_path / "out") == {"new.obj", "new.mtl", "new_0.png", "grain.png"}
+        again = read_asset(tmp_path / "out" / "new.obj")
+        assert again.digest == asset.digest and again.report.found_images == ()
+
+
+def test_a_folder_may_be_in_capitals_too_but_two_files_are_one_too_many(tmp_path):
+    path = saved(tmp_path, mtl=MTL.replace("textures/wood grain.png", "Textures\\Wood Grain.PNG"))
+    asset = read_asset(path)
+    assert asset.textures[0].name == "textures/wood grain.png"
+    if (tmp_path / "textures" / "WOOD grain.png").exists():
+        pytest.skip("this disk does not tell capitals apart: there cannot be two")
+    (tmp_path / "textures" / "WOOD grain.png").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"'Textures\\Wood Grain\.PNG' does not exist; put it there, or"):
+        read_asset(path)
+
+
+def test_a_given_texture_is_advised_only_where_it_takes_the_place_of_the_one_image(tmp_path):
+    mtl = "newmtl wood\nmap_Kd D:\\a b\\no.png\nnewmtl bone white\nmap_Kd {}\n"
+    path = saved(tmp_path, mtl=mtl.format("textures/wood grain.png"))
+    with pytest.raises(ValueError, match=r"'D:\\a b\\no\.png' does not exist; put it beside the mesh$"):
+        read_asset(path)
+    (tmp_path / "my cube.mtl").write_text(mtl.format("D:\\a b\\no.png"))
+    with pytest.raises(ValueError, match=r"put it beside the mesh, or pass --texture$"):
+        read_asset(path)
+    assert read_asset(path, tmp_path / "textures" / "wood grain.png").mesh.textures
 
 
 # --- materials that are not there

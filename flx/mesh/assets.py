@@ -10,6 +10,7 @@ that multiply a texture are ignored, and left as they are.
 """
 
 import hashlib
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt8
 
 from flx.mesh.formats import glb
-from flx.mesh.formats.files import BadFile, read_file, write_atomically
+from flx.mesh.formats.files import BadFile, is_absolute, quoted, read_file, write_atomically
 from flx.mesh.formats.gltf import Gltf, Material, Paint, Part
 from flx.mesh.formats.images import check_together, decode_image, encode_png, told_of
 from flx.mesh.formats.obj_source import ObjSource, only_object
@@ -71,6 +72,7 @@ class Report(NamedTuple):
     textures: tuple[str, ...]
     missing_images: tuple[str, ...]  # of other maps, or not to be copied; the reference is kept as it is
     ignored_options: tuple[str, ...]  # of map_Kd; kept as they are
+    found_images: tuple[str, ...]  # which the file names otherwise: by another machine's path, or capitals
     unread: tuple[str, ...]  # of a PLY: properties, elements, comments that flx makes nothing of
 
 
@@ -116,9 +118,7 @@ def read_asset(path: str | Path, texture: str | Path | None = None) -> Asset:
         images, textures, texture_of = _choose_textures(contents, None if texture is None else Path(texture))
         return _assemble(path, contents, images, textures, texture_of)
     except FileNotFoundError as fault:
-        raise ValueError(
-            f"{path}: {fault.filename} does not exist; put it there, or pass --texture"
-        ) from fault
+        raise ValueError(f"{path}: {fault.filename} does not exist; put it there") from fault
     except OSError as fault:
         raise ValueError(
             f"{path}: {str(fault.filename)[:80]} cannot be read ({fault.strerror}); make it readable"
@@ -184,7 +184,10 @@ def _choose_textures(
             raise ValueError(f"{part.name!r} has a texture but no texture coordinates; unwrap it first")
 
     images, textures = [], []
-    encoded = {name: contents.load_image(name) if override is None else read_file(override) for name in names}
+    encoded = {
+        name: _encoded(contents, name, len(names)) if override is None else read_file(override)
+        for name in names
+    }
     check_together(encoded)
     for name, content in encoded.items():
         rgb, alpha = decode_image(content, name)
@@ -198,6 +201,17 @@ def _choose_textures(
             images.append(np.tile(color, (4, 4, 1)))
             textures.append(Texture(contents.materials[material].name, None, flat=True))
     return images, textures, texture_of
+
+
+def _encoded(contents: Contents, name: str, count: int) -> bytes:
+    """A base colour image. --texture is advised where it helps: it takes the place of one image alone."""
+    try:
+        return contents.load_image(name)
+    except FileNotFoundError as fault:
+        named = str(fault.filename)
+        where = "beside the mesh" if is_absolute(named) or not re.search(r"[/\\]", named) else "there"
+        other = ", or pass --texture" if count == 1 else ""
+        raise BadFile(f"{quoted(named)} does not exist; put it {where}{other}") from fault
 
 
 def _assemble(
@@ -312,6 +326,7 @@ def _report(
         textures=tuple(map(_told, textures, mesh.textures)),
         missing_images=contents.missing_images,
         ignored_options=contents.ignored_options,
+        found_images=contents.found_images,
         unread=contents.unread,
     )
 

@@ -11,17 +11,26 @@ KHR_texture_transform and normalised integers are ignored there. COLOR_0 is line
 """
 
 import base64
+import errno
 import json
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import unquote_to_bytes
+from urllib.parse import quote, unquote, unquote_to_bytes
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Num
 
-from flx.mesh.formats.files import BadFile, check_faces, inside, read_file
+from flx.mesh.formats.files import (
+    BadFile,
+    check_faces,
+    found_beside,
+    inside,
+    is_there,
+    read_file,
+    told_apart,
+)
 from flx.mesh.formats.schema import check_document
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -42,6 +51,7 @@ class Gltf(NamedTuple):
 
     document: dict
     views: tuple[bytes, ...]
+    found: tuple[str, ...] = ()  # images that were read under another name than the file's
 
 
 class Part(NamedTuple):
@@ -111,17 +121,21 @@ def read_gltf(path: Path) -> Gltf:
         views = [_view(i, v, buffers) for i, v in enumerate(document.get("bufferViews", []))]
     except KeyError as fault:
         raise BadFile(f"a buffer or buffer view has no {fault}; export it again") from fault
+    found = []
     for image in document.get("images", []):
         if "uri" not in image:
             continue
+        name = unquote(image["uri"])
+        other = "" if _is_at_hand(path.parent, image["uri"]) else found_beside(path.parent, name)
+        found += [told_apart((name, other))] if other else []
         try:
-            content = _resource(image["uri"], path.parent)
+            content = _resource(quote(other) or image["uri"], path.parent)
         except FileNotFoundError:
             continue
         image["mimeType"] = MIME_TYPES.get(content[:3], image.get("mimeType", "image/png"))
         image["bufferView"] = append_view(document, views, content)
         del image["uri"]
-    return Gltf(document, tuple(views))
+    return Gltf(document, tuple(views), tuple(found))
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes]:
@@ -157,10 +171,14 @@ def _view(index: int, view: dict, buffers: list[bytes]) -> bytes:
     return buffers[view["buffer"]][start : start + length]
 
 
+def _is_at_hand(folder: Path, uri: str) -> bool:
+    return uri.startswith("data:") or is_there(folder, unquote(uri))
+
+
 def _resource(uri: str, folder: Path) -> bytes:
     """The bytes behind a URI: `data:`, or a file in the folder of the asset. Never the network."""
     if not uri.startswith("data:"):
-        return read_file(inside(folder, unquote_to_bytes(uri).decode(errors="replace")))
+        return read_file(inside(folder, unquote(uri)))
     head, _, body = uri.partition(",")
     try:
         return base64.b64decode(body, validate=True) if head.endswith(";base64") else unquote_to_bytes(body)
@@ -392,8 +410,8 @@ def texture_image(document: dict, texture: int) -> int:
 
 
 def image_bytes(gltf: Gltf, image: int) -> bytes:
-    """The encoded image. Raises BadFile naming the file where it was not found."""
+    """The encoded image. Raises FileNotFoundError naming the file where it was not found."""
     entry = gltf.document["images"][image]
     if "bufferView" not in entry:
-        raise BadFile(f"image {entry.get('uri')!r} is missing; put it there, or pass --texture")
+        raise FileNotFoundError(errno.ENOENT, "not found", entry.get("uri", "an image without data"))
     return bytes(gltf.views[entry["bufferView"]])

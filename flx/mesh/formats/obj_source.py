@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from flx.mesh.formats.files import BadFile, inside, limit, read_file, write_atomically
+from flx.mesh.formats.files import BadFile, found_beside, inside, is_there, limit, read_file, write_atomically
 from flx.mesh.formats.images import quantized
 from flx.mesh.formats.mtl import (
     edited,
@@ -62,12 +62,14 @@ class ObjSource(NamedTuple):
     colors: Float64[Any, "P 3"] | None  # of every v, as the file counts them
 
 
-def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[str]]:
-    """The MTL files that an OBJ names, and the names of those that are not there.
+def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[str], dict[str, str]]:
+    """The MTL files that an OBJ names, the names of those that are not there, and the images found under
+    another name than theirs.
 
     Raises BadFile for one outside of the folder, and for more than `FLX_MAX_BYTES` in all.
     """
     libraries: dict[str, bytes] = {}
+    others: dict[str, str] = {}
     missing, size = [], 0
     named = (_names(folder, found["value"]) for found in _statements(LIBRARY, text))
     for name in dict.fromkeys(name for names in named for name in names):
@@ -78,8 +80,9 @@ def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[st
             continue
         if (size := size + len(content)) > (most := limit("FLX_MAX_BYTES")):
             raise BadFile(f"its MTL files have more than {most:,} bytes; reduce them, or set FLX_MAX_BYTES")
-        libraries[name] = renamed(content, {n: _relative(folder, n) for n in files_named(content)})
-    return libraries, missing
+        own = {n: _relative(folder, n) for n in files_named(content)}
+        libraries[name], others = renamed(content, own), others | own
+    return libraries, missing, {n: o for n, o in others.items() if n != o and not is_there(folder, n)}
 
 
 def _statements(pattern: re.Pattern[bytes], text: bytes) -> Iterator[re.Match[bytes]]:
@@ -104,7 +107,10 @@ def _names(folder: Path, value: bytes) -> list[str]:
 
 
 def _relative(folder: Path, name: str) -> str:
-    """A name that comes into the folder from outside becomes relative, for the file goes along."""
+    """A name that comes into the folder from outside becomes relative, for the file goes along; and one that
+    leads nowhere becomes that of the image which it means."""
+    if not is_there(folder, name) and (found := found_beside(folder, name)).lower().endswith(SUFFIXES):
+        return found
     try:
         own = _own_name(folder, name)
     except BadFile:
