@@ -14,6 +14,7 @@ from flx.mesh.assets import Asset, read_asset, write_glb
 from flx.mesh.doctor import describe
 from flx.mesh.exports import check_room, write_obj, write_obj_colors
 from flx.mesh.formats import glb
+from flx.mesh.formats.files import found_beside
 from flx.mesh.formats.gltf import Gltf, read_gltf
 from flx.mesh.formats.mtl import files_named, parse_mtl, renamed, repainted
 from flx.mesh.formats.obj_source import ObjSource, write_copy
@@ -300,6 +301,19 @@ def test_a_folder_may_be_in_capitals_too_but_two_files_are_one_too_many(tmp_path
     (tmp_path / "textures" / "WOOD grain.png").write_bytes(b"")
     with pytest.raises(ValueError, match=r"'Textures\\Wood Grain\.PNG' does not exist; put it there, or"):
         read_asset(path)
+
+
+@pytest.mark.parametrize(
+    "name", ["OUT/secret.png", "../secret.png", "in/../../secret.png", "OUT/../secret.png"]
+)
+def test_no_folder_outside_is_even_listed(tmp_path, monkeypatch, name):
+    (tmp_path / "secret.png").write_bytes(b"")
+    (tmp_path / "mesh" / "in").mkdir(parents=True)
+    (tmp_path / "mesh" / "out").symlink_to("..")
+    listed, listdir = [], os.listdir
+    monkeypatch.setattr(os, "listdir", lambda path: listed.append(Path(path).resolve()) or listdir(path))
+    assert found_beside(tmp_path / "mesh", name) == ""
+    assert listed and all(path.is_relative_to((tmp_path / "mesh").resolve()) for path in listed)
 
 
 def test_a_given_texture_is_advised_only_where_it_takes_the_place_of_the_one_image(tmp_path):
