@@ -288,6 +288,14 @@ GOOD = {
         f"OBJ, map_Bump {name}": other_map(name)
         for name in ("../a.png", "/etc/hostname", "http://127.0.0.1:9/a.png")
     },
+    # An absolute path means the file of that name that lies here, and never the one that lies there.
+    "OBJ, map_Kd absolute, its name here": obj(mtl=MTL.replace("a.png", "/etc/a.png")),
+    "OBJ, map_Kd absolute, and there too": lambda folder: obj(
+        mtl=MTL.replace("a.png", f"{folder.parent}/a.png")
+    )(folder),
+    "GLB, image of another machine": beside(
+        image_uri("C:\\tex\\a.png"), "a.png", lambda path: path.write_bytes(png())
+    ),
     "OBJ, map_Bump is a folder": beside(other_map("b.png"), "b.png", os.mkdir),
     "OBJ, map_Bump is a pipe": beside(other_map("b.png"), "b.png", os.mkfifo),
     "OBJ, map_Bump is a device": symlink(other_map("b.png"), "b.png", "/dev/zero"),
@@ -305,6 +313,10 @@ CASES = [
     Case("OBJ: map_Kd is a link out", symlink(obj(), "a.png", "/etc/hostname"), "outside"),
     Case("OBJ: map_Kd is a link to itself", symlink(obj(), "a.png", "a.png"), "a.png"),
     Case("OBJ: mtllib is a link out", symlink(obj(), "m.mtl", "/etc/passwd"), "outside"),
+    Case("OBJ: map_Kd absolute, not here", obj(mtl=MTL.replace("a.png", "C:\\Users\\b.png")), r"C:\\Users\\b.png' does not exist.*--texture"),
+    Case("OBJ: map_Kd in capitals, two files", beside(obj(mtl=MTL.replace("a.png", "A.png")), "a.PNG", lambda path: path.write_bytes(png())), "A.png' does not exist"),
+    Case("OBJ: map_Kd in capitals is a link out", symlink(obj(mtl=MTL.replace("a.png", "A.png")), "a.png", "/etc/hostname"), "A.png' does not exist"),
+    Case("OBJ: map_Kd in a folder that is a link out", symlink(obj(mtl=MTL.replace("a.png", "OUT/hostname")), "out", "/etc"), "OUT/hostname' does not exist"),
     Case("OBJ: map_Kd is missing", obj(mtl=MTL.replace("a.png", "b.png")), "does not exist.*--texture"),
     Case("OBJ: map_Kd in a file", obj(mtl=MTL.replace("a.png", "a.png/b.png")), "does not exist.*--texture"),
     Case("OBJ: mtllib is missing", obj(lambda t: t.replace("m.mtl", "n.mtl")), "does not exist.*--texture"),

@@ -118,7 +118,7 @@ def test_a_given_texture_takes_the_place_of_a_missing_one(tmp_path):
     path = save_obj(tmp_path)
     Image.new("L", (5, 3), 77).save(tmp_path / "other.png")
     (tmp_path / "a.png").unlink()
-    with pytest.raises(ValueError, match=r"a\.png does not exist.*--texture"):
+    with pytest.raises(ValueError, match=r"'a\.png' does not exist.*--texture"):
         read_asset(path)
     asset = read_asset(path, tmp_path / "other.png")
     assert asset.mesh.textures[0].shape == (3, 5, 3) and (asset.mesh.textures[0] == 77).all()

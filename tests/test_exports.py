@@ -113,6 +113,29 @@ def test_a_glb_goes_out_as_an_obj_where_its_nodes_put_it(tmp_path):
     assert there.vertices.min(0).tolist() == [1, 2, 3] and len(there.faces) == 4
 
 
+def test_an_obj_made_of_a_glb_has_its_normals_and_names_each_thing_once(tmp_path):
+    """No material that no face uses; as many names of parts as parts."""
+    text = OBJ.replace("v 0 0 1.1", "v 0 0 1.1\nvn 0.6 0.8 0")
+    text = "".join(
+        " ".join([line.split()[0], *(f"{c}/1" for c in line.split()[1:])]) + "\n" if line[0] == "f" else line
+        for line in text.splitlines(keepends=True)
+    )
+    textured(tmp_path).write_text(text)
+    write_glb(asset := read_asset(tmp_path / "mesh.obj"), asset.mesh.textures, tmp_path / "a.glb")
+    source = read_asset(tmp_path / "a.glb")
+    source = source._replace(
+        parts=tuple(p._replace(name=n) for p, n in zip(source.parts, "aab", strict=True))
+    )
+    (tmp_path / "out").mkdir()
+    write_obj(source, source.mesh.textures, tmp_path / "out" / "new.obj")
+    lines = (tmp_path / "out" / "new.obj").read_text().splitlines()
+    assert [line for line in lines if line[:2] == "o "] == ["o a", "o a_1", "o b"]
+    library = (tmp_path / "out" / "new.mtl").read_text()
+    assert library.count("newmtl") == 3 and "default" not in library
+    for part in read_asset(tmp_path / "out" / "new.obj").parts:
+        np.testing.assert_allclose(part.normals, [[0.6, 0.8, 0]] * len(part.positions), atol=1e-6)
+
+
 @pytest.mark.parametrize("format", ["obj", "ply"])
 def test_vertex_colours_are_read_back_by_trimesh(tmp_path, format):
     asset = read_asset(colored(tmp_path))
@@ -157,6 +180,24 @@ def test_a_write_that_fails_half_way_leaves_the_old_file_and_nothing_else(tmp_pa
 def test_a_ply_is_not_written_from_textures(tmp_path):
     with pytest.raises(ValueError, match=r"mesh\.obj has textures.*--format glb or obj"):
         check_output(read_asset(textured(tmp_path)), "ply", [tmp_path / "out.ply"])
+
+
+def test_what_a_new_ply_will_not_have_is_named_in_one_line(tmp_path, capsys):
+    head = ["ply", "format ascii 1.0", "comment hi", "obj_info there", "element vertex 4"]
+    head += [f"property float {name}" for name in ("x", "y", "z", "quality", "s", "t")]
+    head += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha")]
+    head += ["element face 1", "property list uchar int vertex_indices", "property int flags"]
+    head += ["element edge 1", "property int vertex1", "end_header"]
+    rows = [f"{x} {y} 0 0.5 {x} {y} 9 99 199 7" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    (tmp_path / "a.ply").write_text("\n".join([*head, *rows, "4 0 1 2 3 5", "0", ""]))
+    asset = read_asset(tmp_path / "a.ply")
+    told = "1 polygon, vertex quality, vertex alpha, face flags, 1 × edge, 2 comments"
+    for format, more in (("ply", ", ASCII text, texture coordinates"), ("glb", ""), ("obj", "")):
+        check_output(asset, format, [tmp_path / f"out.{format}"])
+        assert capsys.readouterr().err == f"{asset.path}: {told}{more} stay behind\n"
+    write_ply_colors(asset, np.zeros((4, 3), np.float32), tmp_path / "out.ply")
+    check_output(read_asset(tmp_path / "out.ply"), "ply", [tmp_path / "b.ply"])
+    assert capsys.readouterr().err == ""
 
 
 # --- unwrapping

@@ -190,6 +190,36 @@ def test_a_mirrored_node_keeps_faces_counter_clockwise_from_outside():
     assert np.cross(b - a, c - a)[2] > 0  # the quad faced +z before it was mirrored in x, and does still
 
 
+@pytest.mark.parametrize("mirror", [1, -1])
+def test_normals_stay_perpendicular_to_their_faces_under_any_transform(mirror):
+    """And of length one, on the same side; a transform that flattens leaves them finite."""
+    gltf, rng = container(), np.random.default_rng(0)
+    points = rng.normal(size=(6, 3)).astype(np.float32)
+    a, b, c = points[:3], points[3:], points[[1, 2, 0]]
+    normals = 7 * np.cross(b - a, c - a).astype(np.float32)
+    rows = np.stack([a, b, c], 1).reshape(-1, 3)
+    views = [rows.tobytes(), np.repeat(normals, 3, 0).tobytes()]
+    gltf.document["accessors"] = [
+        {"bufferView": i, "componentType": 5126, "count": 9, "type": "VEC3"} for i in (0, 1)
+    ]
+    gltf.document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 0, "NORMAL": 1}}]
+    gltf.document["bufferViews"] = [{}, {}]
+    matrix = np.eye(4)
+    matrix[:3, :3] = rng.normal(size=(3, 3))
+    matrix[0, :3] *= mirror * np.sign(np.linalg.det(matrix[:3, :3]))
+    gltf.document["nodes"][1] = {"mesh": 0, "matrix": matrix.T.ravel().tolist()}
+    (part,) = parts(Gltf(gltf.document, tuple(views)))
+    assert part.normals is not None
+    x, y, z = np.moveaxis(part.positions[part.faces], 1, 0)
+    wanted = np.cross(y - x, z - x)
+    wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
+    np.testing.assert_allclose(part.normals[part.faces], np.repeat(wanted[:, None], 3, 1), atol=1e-5)
+    for flat in ([1, 1, 0], [0, 0, 0]):
+        matrix = np.diag([*map(float, flat), 1.0]).ravel().tolist()
+        gltf.document["nodes"][1] = {"mesh": 0, "matrix": matrix}
+        assert np.isfinite(parts(Gltf(gltf.document, tuple(views)))[0].normals).all()
+
+
 def test_texture_transform_moves_the_coordinates():
     gltf = container()
     slot = gltf.document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
@@ -339,11 +369,35 @@ def test_a_spoilt_file_is_one_line_that_names_it(tmp_path, spoil, match):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_the_maps_that_an_obj_would_not_have_are_named(tmp_path, capsys):
-    asset = read_asset(save(container(occlusion_shares=True), tmp_path / "a.glb"))
-    for format, said in (
-        ("glb", ""),
-        ("obj", f"{asset.path}: image 1, image 2 stay behind; --format glb keeps all\n"),
-    ):
+def test_what_an_obj_would_not_have_is_named_in_one_line(tmp_path, capsys):
+    gltf = container(occlusion_shares=True)
+    document = gltf.document
+    document["images"][1]["name"] = "two\nlines"
+    document["materials"][0]["pbrMetallicRoughness"] |= {"roughnessFactor": 0.7, "metallicFactor": 0}
+    document["materials"][0]["emissiveFactor"] = [1, 1, 1]
+    document["meshes"][0]["primitives"][0]["attributes"] |= {"TEXCOORD_1": 1, "TANGENT": 0}
+    document |= {"extensionsUsed": ["KHR_texture_transform", "KHR_materials_sheen"], "cameras": [{}]}
+    document["asset"]["copyright"] = "me"
+    asset = read_asset(save(gltf, tmp_path / "a.glb"))
+    told = "two lines, image 2, baseColorFactor, alphaMode, roughnessFactor, emissiveFactor, TEXCOORD_1, "
+    told += "TANGENT, lines and points, cameras, KHR_materials_sheen, 2 nodes, copyright, extras"
+    for format, said in (("glb", ""), ("obj", f"{asset.path}: {told} stay behind; --format glb keeps all\n")):
         check_output(asset, format, [tmp_path / f"out.{format}"])
         assert capsys.readouterr().err == said
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_file_that_is_not_there_and_is_still_named_is_told(tmp_path, capsys, given):
+    """The base colour's image is replaced: it is named no more."""
+    gltf = container()
+    for image in range(3):
+        if given or image == 2:
+            gltf.document["images"][image] = {"uri": f"gone {image}.png"}
+    (tmp_path / "a.png").write_bytes(png((1, 2, 3)))
+    gltf.document["materials"][1]["pbrMetallicRoughness"]["baseColorTexture"]["index"] = 0
+    asset = read_asset(save(gltf, tmp_path / "a.glb"), tmp_path / "a.png" if given else None)
+    told = "gone 1.png, gone 2.png" if given else "gone 2.png"
+    check_output(asset, "glb", [tmp_path / "out.glb"])
+    assert capsys.readouterr().err == f"{asset.path}: not there, but named in what is written: {told}\n"
+    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    assert ", ".join(read_asset(tmp_path / "out.glb").report.missing_images) == told

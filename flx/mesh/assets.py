@@ -10,6 +10,7 @@ that multiply a texture are ignored, and left as they are.
 """
 
 import hashlib
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,10 +19,10 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt8
 
 from flx.mesh.formats import glb
-from flx.mesh.formats.files import BadFile, read_file, write_atomically
-from flx.mesh.formats.gltf import Gltf, Paint, Part
+from flx.mesh.formats.files import BadFile, is_absolute, quoted, read_file, write_atomically
+from flx.mesh.formats.gltf import Gltf, Material, Paint, Part
 from flx.mesh.formats.images import check_together, decode_image, encode_png, told_of
-from flx.mesh.formats.obj_source import ObjSource
+from flx.mesh.formats.obj_source import ObjSource, only_object
 from flx.mesh.formats.readers import READERS, Contents
 from flx.mesh.repair import Repaired, repair
 from flx.types import TexturedMesh
@@ -71,6 +72,8 @@ class Report(NamedTuple):
     textures: tuple[str, ...]
     missing_images: tuple[str, ...]  # of other maps, or not to be copied; the reference is kept as it is
     ignored_options: tuple[str, ...]  # of map_Kd; kept as they are
+    found_images: tuple[str, ...]  # which the file names otherwise: by another machine's path, or capitals
+    unread: tuple[str, ...]  # of a PLY: properties, elements, comments that flx makes nothing of
 
 
 class Asset(NamedTuple):
@@ -115,9 +118,7 @@ def read_asset(path: str | Path, texture: str | Path | None = None) -> Asset:
         images, textures, texture_of = _choose_textures(contents, None if texture is None else Path(texture))
         return _assemble(path, contents, images, textures, texture_of)
     except FileNotFoundError as fault:
-        raise ValueError(
-            f"{path}: {fault.filename} does not exist; put it there, or pass --texture"
-        ) from fault
+        raise ValueError(f"{path}: {fault.filename} does not exist; put it there") from fault
     except OSError as fault:
         raise ValueError(
             f"{path}: {str(fault.filename)[:80]} cannot be read ({fault.strerror}); make it readable"
@@ -183,7 +184,10 @@ def _choose_textures(
             raise ValueError(f"{part.name!r} has a texture but no texture coordinates; unwrap it first")
 
     images, textures = [], []
-    encoded = {name: contents.load_image(name) if override is None else read_file(override) for name in names}
+    encoded = {
+        name: _encoded(contents, name, len(names)) if override is None else read_file(override)
+        for name in names
+    }
     check_together(encoded)
     for name, content in encoded.items():
         rgb, alpha = decode_image(content, name)
@@ -197,6 +201,17 @@ def _choose_textures(
             images.append(np.tile(color, (4, 4, 1)))
             textures.append(Texture(contents.materials[material].name, None, flat=True))
     return images, textures, texture_of
+
+
+def _encoded(contents: Contents, name: str, count: int) -> bytes:
+    """A base colour image. --texture is advised where it helps: it takes the place of one image alone."""
+    try:
+        return contents.load_image(name)
+    except FileNotFoundError as fault:
+        named = str(fault.filename)
+        where = "beside the mesh" if is_absolute(named) or not re.search(r"[/\\]", named) else "there"
+        other = ", or pass --texture" if count == 1 else ""
+        raise BadFile(f"{quoted(named)} does not exist; put it {where}{other}") from fault
 
 
 def _assemble(
@@ -234,7 +249,7 @@ def _assemble(
         corner_colors=np.zeros((len(corners), 3, 3), np.float32) if images else colors[corners],
     )
     _check_measures(mesh)
-    paints = [Paint(m.name, texture_of.get(i, -1), m.color) for i, m in enumerate(contents.materials)]
+    paints = [_paint(m, texture_of.get(i, -1), textures) for i, m in enumerate(contents.materials)]
     return Asset(
         path=path,
         mesh=mesh,
@@ -246,6 +261,15 @@ def _assemble(
         container=contents.container,
         digest=_digest(mesh),
     )
+
+
+def _paint(material: Material, texture: int, textures: list[Texture]) -> Paint:
+    """Alpha counts where the material says so: a picture's own alpha may be anything that was left there."""
+    own = texture >= 0 and material.opacity_image == textures[texture].name
+    alpha = textures[texture].alpha if own else None
+    mode = "OPAQUE" if alpha is None else "MASK" if np.isin(alpha, (0, 255)).all() else "BLEND"
+    mode = "BLEND" if material.opacity < 1 else mode
+    return Paint(material.name, texture, material.color, material.opacity, mode)
 
 
 def _check_measures(mesh: TexturedMesh) -> None:
@@ -302,6 +326,8 @@ def _report(
         textures=tuple(map(_told, textures, mesh.textures)),
         missing_images=contents.missing_images,
         ignored_options=contents.ignored_options,
+        found_images=contents.found_images,
+        unread=contents.unread,
     )
 
 
@@ -329,7 +355,7 @@ def write_glb(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
         shown = {i: paint.texture for i, paint in enumerate(asset.paints) if paint.texture in pngs}
         file = glb.replace_base_color(asset.container, shown, pngs)
     else:
-        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, pngs)
+        file = glb.build_gltf(_name(asset), asset.parts, asset.paints, pngs)
     write_atomically(Path(path), glb.glb_bytes(file))
 
 
@@ -348,5 +374,11 @@ def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
         origins = [part.origin for part in asset.parts]
         file = glb.replace_colors(asset.container, dict(zip(origins, each, strict=True)))
     else:
-        file = glb.build_gltf(asset.path.stem, asset.parts, asset.paints, {}, each)
+        file = glb.build_gltf(_name(asset), asset.parts, asset.paints, {}, each)
     write_atomically(Path(path), glb.glb_bytes(file))
+
+
+def _name(asset: Asset) -> str:
+    """What the one object of an OBJ is called; else the file."""
+    found = only_object(asset.container) if isinstance(asset.container, ObjSource) else ""
+    return found or asset.path.stem

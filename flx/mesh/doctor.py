@@ -219,8 +219,10 @@ def describe(report: Report, findings: Findings | None = None) -> str:
         ("Euler characteristic", str(report.euler)),
         ("colour", report.color_source),
         *(("texture", name) for name in report.textures),
+        *(("image found under another name", name) for name in report.found_images),
         *(("other map, not here, left alone", name) for name in report.missing_images),
         *(("option of map_Kd, kept, not applied", option) for option in report.ignored_options),
+        *(("in the file, not read", what) for what in report.unread),
         *(_describe_findings(findings) if findings else ()),
     ]
     width = max(len(label) for label, _ in lines)

@@ -2,12 +2,12 @@
 
 What came as OBJ goes out as the same OBJ (`formats.obj_source`). All else is written anew from the triangles
 and coordinates of its parts: names of parts and materials are kept, node transforms are applied, numbers are
-exact. What the formats cannot say (other maps, extras, alpha of vertices) stays behind; a GLB keeps it. Every
-file is there whole or not at all, and the OBJ comes last: it never names what is not there yet.
+exact. What the formats cannot say stays behind (`flx.mesh.losses`). Every file is there whole or not at all,
+and the OBJ comes last: it never names what is not there yet.
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,6 @@ from jaxtyping import Float32, Float64, Int, Num, UInt8
 from flx.mesh.assets import Asset
 from flx.mesh.formats import obj_source
 from flx.mesh.formats.files import write_atomically
-from flx.mesh.formats.glb import other_images
-from flx.mesh.formats.gltf import Gltf
 from flx.mesh.formats.images import encode_png, quantized
 from flx.mesh.formats.obj_source import ObjSource
 
@@ -40,8 +38,10 @@ def write_obj(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
     if isinstance(asset.container, ObjSource):
         obj_source.write_painted(asset.container, _painted(asset, files), _fresh_name(asset), path)
         return
-    library = []
-    for name, paint in zip(_material_names(asset), asset.paints, strict=True):
+    library, used = [], {part.material for part in asset.parts}
+    for number, (name, paint) in enumerate(zip(_material_names(asset), asset.paints, strict=True)):
+        if number not in used:
+            continue
         color = (1.0, 1.0, 1.0) if paint.texture in files else paint.color
         library += [f"newmtl {name}", "Kd {} {} {}".format(*map(float, color))]
         library += [f"map_Kd {files[paint.texture]}"] if paint.texture in files else []
@@ -89,19 +89,9 @@ def _fresh_name(asset: Asset) -> str:
     return name
 
 
-def left_behind(asset: Asset, format: str) -> str:
-    """What the file has that a file of another format will not have: maps, polygons. Empty: nothing."""
-    source = asset.container
-    if isinstance(source, Gltf) and format != "glb":
-        return ", ".join(other_images(source))
-    if isinstance(source, ObjSource) and format != "obj":
-        polygons = [f"{asset.report.polygons:,} polygons"] if asset.report.polygons else []
-        return ", ".join(_other_maps(asset, source) + polygons)
-    return ""
-
-
-def _other_maps(asset: Asset, source: ObjSource) -> list[str]:
-    return obj_source.other_maps(source, _painted(asset, image_files(asset, asset.path)))
+def names_beside(asset: Asset, source: ObjSource) -> list[str]:
+    """The files that the libraries of an OBJ name, besides the images that are painted anew."""
+    return obj_source.other_names(source, _painted(asset, image_files(asset, asset.path)))
 
 
 def check_room(asset: Asset, path: Path, beside: Sequence[Path] = ()) -> None:
@@ -118,7 +108,7 @@ def check_room(asset: Asset, path: Path, beside: Sequence[Path] = ()) -> None:
         own += [source.folder / name for name in (*source.libraries, *source.maps)]
         if path.suffix == ".obj":
             files += obj_source.library_files(source, path).values()
-            others = _other_maps(asset, source)
+            others = [name for name in names_beside(asset, source) if name in source.maps]
             obj_source.check_maps(source, others, path.parent)
             own += [path.parent / source.maps[name] for name in others]
     taken = {file.resolve() for file in own}
@@ -158,7 +148,8 @@ def _obj_lines(asset: Asset, library: str | None, colors: Float32[Any, "V 3"] | 
     rows = np.concatenate([part.positions for part in asset.parts])
     yield from _numbers("v", rows if colors is None else np.concatenate([rows, colors], 1))
     names, normals, uvs = _material_names(asset), 0, 0
-    for part, faces in zip(asset.parts, _numbered_faces(asset), strict=True):
+    parts = zip(asset.parts, _words(part.name for part in asset.parts), _numbered_faces(asset), strict=True)
+    for part, name, faces in parts:
         corners = [faces + 1]
         if part.uvs is not None:
             yield from _numbers("vt", part.uvs * [1, -1] + [0, 1])
@@ -168,7 +159,7 @@ def _obj_lines(asset: Asset, library: str | None, colors: Float32[Any, "V 3"] | 
             yield from _numbers("vn", part.normals)
             corners.append(part.faces + normals + 1)
             normals += len(part.normals)
-        yield f"o {_word(part.name)}"
+        yield f"o {name}"
         if library:
             yield f"usemtl {names[part.material]}"
         between = "//" if part.uvs is None else "/"
@@ -196,12 +187,17 @@ def _numbered_faces(asset: Asset) -> Iterator[Int[Any, "F 3"]]:
 
 
 def _material_names(asset: Asset) -> list[str]:
-    """One word for each material, none twice."""
-    names: list[str] = []
-    for paint in asset.paints:
-        word = _word(paint.name)
-        names.append(word if word not in names else f"{word}_{len(names)}")
-    return names
+    return _words(paint.name for paint in asset.paints)
+
+
+def _words(names: Iterable[str]) -> list[str]:
+    """One word for each name, none twice."""
+    words: dict[str, None] = {}
+    for number, word in enumerate(map(_word, names)):
+        while word in words:
+            word += f"_{number}"
+        words[word] = None
+    return list(words)
 
 
 def _word(name: str) -> str:

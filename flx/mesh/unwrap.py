@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from flx.mesh.assets import Asset, Texture
-from flx.mesh.formats.gltf import Gltf, Part, accessor
+from flx.mesh.formats.gltf import Gltf, Part
 from flx.mesh.texels import atlas_texels, paint, surface_colors
 
 INSTALL = "pip install '.[uv]' in the clone"
@@ -66,11 +66,10 @@ def _split(
         old = asset.corner_vertices[chosen] - (ends[number] - len(part.positions))
         keys, rows = np.unique(old * len(uvs) + charted[chosen], return_inverse=True)
         rows, (source, chart) = rows.reshape(-1, 3), np.divmod(keys, len(uvs))
-        normals = _normals(asset, part)
         parts.append(
             part._replace(
                 positions=part.positions[source],
-                normals=None if normals is None else normals[source],
+                normals=None if part.normals is None else part.normals[source],
                 uvs=uvs[chart],
                 colors=None,
                 faces=rows,
@@ -80,14 +79,3 @@ def _split(
         corners[chosen] = rows + total
         total += len(source)
     return tuple(parts), corners
-
-
-def _normals(asset: Asset, part: Part) -> Float64[np.ndarray, "V 3"] | None:
-    if not isinstance(asset.container, Gltf):
-        return part.normals
-    node, primitive = part.origin
-    document = asset.container.document
-    attributes = document["meshes"][document["nodes"][node]["mesh"]]["primitives"][primitive]["attributes"]
-    return (
-        accessor(asset.container, attributes["NORMAL"]).astype(np.float64) if "NORMAL" in attributes else None
-    )

@@ -13,10 +13,12 @@ from PIL import Image
 
 from flx.mesh.assets import Asset, write_glb, write_glb_colors
 from flx.mesh.copies import queries_at, transfer
-from flx.mesh.exports import check_room, left_behind, write_obj, write_obj_colors, write_ply_colors
+from flx.mesh.exports import check_room, write_obj, write_obj_colors, write_ply_colors
 from flx.mesh.formats.files import limit, write_atomically
+from flx.mesh.formats.gltf import Gltf
 from flx.mesh.formats.images import quantized
 from flx.mesh.formats.obj_source import ObjSource
+from flx.mesh.losses import dangling, left_behind
 from flx.mesh.render import contact_sheet, look, show
 from flx.mesh.tangent import tangent_frames
 from flx.mesh.texels import Atlas, atlas_texels, fill_gutter
@@ -154,7 +156,7 @@ def shown(asset: Asset, baked: Baked) -> TexturedMesh:
 
 def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Sequence[Path] = ()) -> None:
     """Before anything is paid for: can the asset be written to `paths`, with other files `beside` it? Says on
-    stderr what stays behind.
+    stderr, in one line, what stays behind and what is not there.
 
     Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures; where files
     of the asset itself would be overwritten; and where there can be no such folder.
@@ -167,9 +169,14 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
         )
     for path in paths:
         check_room(asset, path, beside)
+    told = []
     if left := left_behind(asset, format):
-        kept = "obj" if isinstance(asset.container, ObjSource) else "glb"
-        print(f"{asset.path}: {left} stay behind; --format {kept} keeps all", file=sys.stderr)
+        kept = {ObjSource: "; --format obj keeps all", Gltf: "; --format glb keeps all"}
+        told.append(f"{left} stay behind{kept.get(type(asset.container), '')}")
+    if missing := dangling(asset, format):
+        told.append(f"not there, but named in what is written: {missing}")
+    if told:
+        print(f"{asset.path}: {'; '.join(told)}", file=sys.stderr)
 
 
 def _check_folder(folder: Path) -> None:

@@ -6,6 +6,7 @@ variable, which the error names.
 """
 
 import os
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -48,8 +49,51 @@ def inside(folder: Path, name: str) -> Path:
     except (RuntimeError, ValueError) as fault:  # a link to itself, a NUL
         raise BadFile(f"{name[:80]!r} leads nowhere ({fault}); put the file beside the mesh") from fault
     if not path.is_relative_to(folder.resolve()):
-        raise BadFile(f"{name!r} lies outside {folder}; copy it there, or pass --texture")
+        raise BadFile(f"{quoted(name)} lies outside {folder}; copy it there, and name it without its folder")
     return path
+
+
+def quoted(name: str) -> str:
+    """A name as it stands in a file, on one line: what does not print is escaped, a backslash is one."""
+    return repr(name[:120]).replace("\\\\", "\\")
+
+
+def is_absolute(name: str) -> bool:
+    """Whether a name is a path from the root of some machine, this one or another."""
+    return re.match(r"[A-Za-z]:|[/\\]", name) is not None
+
+
+def is_there(folder: Path, name: str) -> bool:
+    """Whether a file that another file names can be opened from that one's folder."""
+    try:
+        return inside(folder, name).is_file()
+    except (BadFile, OSError):
+        return False
+
+
+def found_beside(folder: Path, name: str) -> str:
+    """The one file in the folder that a name means which leads to none; "" where there is none, or two.
+
+    Of an absolute path, another machine's, the file's name counts; of a relative one all of it. Neither minds
+    capitals, as Windows and macOS do not. Nothing outside of the folder is looked at.
+    """
+    words = re.split(r"[/\\]", name)
+    found: list[str] = []
+    for word in [words[-1]] if is_absolute(name) else [w for w in words if w not in ("", ".")]:
+        try:
+            entries = os.listdir(inside(folder, "/".join(found)))
+        except (BadFile, OSError):
+            return ""
+        alike = [entry for entry in entries if entry.casefold() == word.casefold()]
+        if len(alike) != 1:
+            return ""
+        found += alike
+    return "/".join(found) if found and is_there(folder, "/".join(found)) else ""
+
+
+def told_apart(names: tuple[str, str]) -> str:
+    """A name in a file, and the file that was taken for it."""
+    return f"{quoted(names[0])} → {names[1]}"
 
 
 def read_file(path: Path) -> bytes:

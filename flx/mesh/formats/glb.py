@@ -6,7 +6,7 @@ index and their bytes. Every file is self-contained.
 
 import json
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -138,6 +138,21 @@ def other_images(gltf: Gltf) -> list[str]:
     return [str(images[i].get("name") or images[i].get("uri") or f"image {i}") for i in others]
 
 
+def missing_images(gltf: Gltf, painted: Iterable[int]) -> list[str]:
+    """The files of images that are not there, less those that new base colours of some materials replace."""
+    document = gltf.document
+    materials, images = document.get("materials", []), document.get("images", [])
+    slots = [base_slot(material) for material in materials]
+    new = {
+        texture_image(document, slots[m]["index"]) for m in painted if m < len(slots) and "index" in slots[m]
+    } - _images_of_other_slots(document, slots)
+    return [
+        str(image.get("uri", "an image without data"))
+        for i, image in enumerate(images)
+        if "bufferView" not in image and i not in new
+    ]
+
+
 def _put_image(document: dict, views: list[bytes], image: int, png: bytes) -> None:
     """The PNG in the image's place; its buffer view is reused where nobody else reads it."""
     entry = document["images"][image]
@@ -172,7 +187,8 @@ def build_gltf(
     """A new file for triangles that came from another format: one mesh, a primitive for each part.
 
     `pngs` holds the images of `Paint.texture`; `colors` are sRGB, one array for each part. Scans carry their
-    light in the texture: not metallic, fully rough. OBJ and PLY know no culling: double sided.
+    light in the texture: not metallic, fully rough. OBJ and PLY know no culling: double sided. A material
+    that no part has is left out.
     """
     document: dict = {"asset": {"version": "2.0", "generator": "flx"}, "scene": 0, "scenes": [{"nodes": [0]}]}
     views: list[bytes] = []
@@ -182,14 +198,21 @@ def build_gltf(
         images[texture] = append(document, "textures", {"source": len(images)})
         append(document, "images", {"name": f"base color {texture}"})
         _put_image(document, views, images[texture], png)
-    for paint in paints:
+    number_of: dict[int, int] = {}
+    for number in sorted({part.material for part in parts}):
+        paint = paints[number]
         pbr: dict = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        color = [1.0, 1.0, 1.0]
         if paint.texture in images:
             pbr["baseColorTexture"] = {"index": images[paint.texture]}
         elif colors is None:
-            pbr["baseColorFactor"] = [*linear(np.array(paint.color)).tolist(), 1.0]
+            color = linear(np.array(paint.color)).tolist()
+        if [*color, paint.opacity] != [1.0] * 4:
+            pbr["baseColorFactor"] = [*color, paint.opacity]
         material = {"name": paint.name, "pbrMetallicRoughness": pbr, "doubleSided": True}
-        append(document, "materials", material)
+        if paint.alpha_mode != "OPAQUE":
+            material["alphaMode"] = paint.alpha_mode
+        number_of[number] = append(document, "materials", material)
     for i, part in enumerate(parts):
         rows = {"POSITION": part.positions, "NORMAL": part.normals, "TEXCOORD_0": part.uvs}
         rows["COLOR_0"] = None if colors is None else linear(colors[i])
@@ -199,7 +222,7 @@ def build_gltf(
             if value is not None
         }
         indices = _append_rows(document, views, part.faces.reshape(-1, 1).astype(np.uint32))
-        primitive = {"attributes": attributes, "indices": indices, "material": part.material}
+        primitive = {"attributes": attributes, "indices": indices, "material": number_of[part.material]}
         document["meshes"][0]["primitives"].append(primitive)
     return Gltf(document, tuple(views))
 

@@ -11,17 +11,26 @@ KHR_texture_transform and normalised integers are ignored there. COLOR_0 is line
 """
 
 import base64
+import errno
 import json
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import unquote_to_bytes
+from urllib.parse import quote, unquote, unquote_to_bytes
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Num
 
-from flx.mesh.formats.files import BadFile, check_faces, inside, read_file
+from flx.mesh.formats.files import (
+    BadFile,
+    check_faces,
+    found_beside,
+    inside,
+    is_there,
+    read_file,
+    told_apart,
+)
 from flx.mesh.formats.schema import check_document
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -42,6 +51,7 @@ class Gltf(NamedTuple):
 
     document: dict
     views: tuple[bytes, ...]
+    found: tuple[str, ...] = ()  # images that were read under another name than the file's
 
 
 class Part(NamedTuple):
@@ -50,7 +60,7 @@ class Part(NamedTuple):
     name: str
     material: int  # index into the materials of the asset
     positions: Float64[Any, "V 3"]  # in the scene: node transforms applied
-    normals: Float64[Any, "V 3"] | None  # None where the container keeps them
+    normals: Float64[Any, "V 3"] | None  # in the scene, too
     uvs: Float64[Any, "V 2"] | None  # right and down
     colors: Float32[Any, "V 3"] | None  # sRGB
     faces: Int[Any, "F 3"]
@@ -63,6 +73,8 @@ class Material(NamedTuple):
     name: str
     color: tuple[float, float, float]  # sRGB
     image: str | None
+    opacity: float = 1.0
+    opacity_image: str | None = None  # whose alpha counts
 
 
 class Paint(NamedTuple):
@@ -71,6 +83,8 @@ class Paint(NamedTuple):
     name: str
     texture: int
     color: tuple[float, float, float]
+    opacity: float = 1.0
+    alpha_mode: str = "OPAQUE"  # as glTF names them; of a glTF itself the container knows
 
 
 def srgb(linear: Num[Any, "..."]) -> Float64[Any, "..."]:
@@ -107,17 +121,21 @@ def read_gltf(path: Path) -> Gltf:
         views = [_view(i, v, buffers) for i, v in enumerate(document.get("bufferViews", []))]
     except KeyError as fault:
         raise BadFile(f"a buffer or buffer view has no {fault}; export it again") from fault
+    found = []
     for image in document.get("images", []):
         if "uri" not in image:
             continue
+        name = unquote(image["uri"])
+        other = "" if _is_at_hand(path.parent, image["uri"]) else found_beside(path.parent, name)
+        found += [told_apart((name, other))] if other else []
         try:
-            content = _resource(image["uri"], path.parent)
+            content = _resource(quote(other) or image["uri"], path.parent)
         except FileNotFoundError:
             continue
         image["mimeType"] = MIME_TYPES.get(content[:3], image.get("mimeType", "image/png"))
         image["bufferView"] = append_view(document, views, content)
         del image["uri"]
-    return Gltf(document, tuple(views))
+    return Gltf(document, tuple(views), tuple(found))
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes]:
@@ -153,10 +171,14 @@ def _view(index: int, view: dict, buffers: list[bytes]) -> bytes:
     return buffers[view["buffer"]][start : start + length]
 
 
+def _is_at_hand(folder: Path, uri: str) -> bool:
+    return uri.startswith("data:") or is_there(folder, unquote(uri))
+
+
 def _resource(uri: str, folder: Path) -> bytes:
     """The bytes behind a URI: `data:`, or a file in the folder of the asset. Never the network."""
     if not uri.startswith("data:"):
-        return read_file(inside(folder, unquote_to_bytes(uri).decode(errors="replace")))
+        return read_file(inside(folder, unquote(uri)))
     head, _, body = uri.partition(",")
     try:
         return base64.b64decode(body, validate=True) if head.endswith(";base64") else unquote_to_bytes(body)
@@ -271,13 +293,17 @@ def parts(gltf: Gltf) -> list[Part]:
             name=document["meshes"][mesh].get("name", f"mesh {mesh}"),
             material=material,
             positions=points,
-            normals=None,
+            normals=_normals(gltf, attributes, world[:3, :3]),
             uvs=_uvs(gltf, attributes, slot),
             colors=_colors(gltf, attributes),
             faces=faces[:, ::-1].copy() if mirrored else faces,
             origin=(node, number),
         )
-        for rows, what in ((part.uvs, "texture coordinates"), (part.colors, "colours")):
+        for rows, what in (
+            (part.normals, "normals"),
+            (part.uvs, "texture coordinates"),
+            (part.colors, "colours"),
+        ):
             if rows is not None and len(rows) != len(points):
                 raise BadFile(
                     f"{part.name!r} has {len(rows)} {what} for {len(points)} vertices; export it again"
@@ -330,6 +356,21 @@ def _faces(gltf: Gltf, primitive: dict, points: int) -> Int[Any, "F 3"]:
     return strip
 
 
+def _normals(gltf: Gltf, attributes: dict, world: Float64[Any, "3 3"]) -> Float64[Any, "V 3"] | None:
+    """Unit normals under the inverse transpose of a transform; 0 for what has no direction.
+
+    By cofactors, which are det times that: a transform that flattens has them, too.
+    """
+    if "NORMAL" not in attributes:
+        return None
+    x, y, z = world.T
+    with np.errstate(all="ignore"):
+        turned = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
+        turned = turned / np.abs(turned).max() * (-1 if np.linalg.det(world) < 0 else 1)
+        normals = _attribute(gltf, attributes, "NORMAL", (3,)).astype(np.float64) @ turned
+        return np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True), posinf=0, neginf=0)
+
+
 def _uvs(gltf: Gltf, attributes: dict, slot: dict) -> Float64[Any, "V 2"] | None:
     """The coordinates the base colour texture is read at: its own set, under KHR_texture_transform."""
     transform = slot.get("extensions", {}).get("KHR_texture_transform", {})
@@ -369,8 +410,8 @@ def texture_image(document: dict, texture: int) -> int:
 
 
 def image_bytes(gltf: Gltf, image: int) -> bytes:
-    """The encoded image. Raises BadFile naming the file where it was not found."""
+    """The encoded image. Raises FileNotFoundError naming the file where it was not found."""
     entry = gltf.document["images"][image]
     if "bufferView" not in entry:
-        raise BadFile(f"image {entry.get('uri')!r} is missing; put it there, or pass --texture")
+        raise FileNotFoundError(errno.ENOENT, "not found", entry.get("uri", "an image without data"))
     return bytes(gltf.views[entry["bufferView"]])

@@ -27,6 +27,7 @@ MAPS = {"bump", "disp", "decal", "refl", "norm"}  # and all that begin with map_
 NO_FILE = {"map_aat"}  # a switch
 OPTIONS = {b"-mm": 2, b"-o": 3, b"-s": 3, b"-t": 3}  # numbers that follow, at most; one word otherwise
 FLAGS = {b"-blendu", b"-blendv", b"-bm", b"-boost", b"-cc", b"-clamp", b"-imfchan", b"-texres", b"-type"}
+READ = {"newmtl", "kd", "d", "tr", "map_kd"}
 MOST_MAPS = 1 << 12
 
 
@@ -107,21 +108,32 @@ def _is_number(word: bytes) -> bool:
 
 
 def parse_mtl(content: bytes) -> dict[str, Mapped]:
-    """Materials by name: their diffuse colour, its image, read as sRGB, and how that lies on the surface.
+    """Materials by name: their diffuse colour and its image, read as sRGB, how that lies on the surface,
+    and how opaque they are.
 
     Raises BadFile where Kd is no number.
     """
     materials: dict[str, Mapped] = {}
-    name = ""
+    name, dissolved = "", set()  # where d is said, Tr (1 − d) is not listened to
     for statement in statements(content):
         values = _text(statement.value).split()
         if statement.key == "newmtl":
             name = material_name(statement)
             materials[name] = Mapped(Material(name, (1.0, 1.0, 1.0), None))
+            dissolved.discard(name)
         elif statement.key == "kd" and name and len(values) >= 3:
             r, g, b = np.nan_to_num(numbers(" ".join(values[:3]))).clip(0, 1).tolist()
             old = materials[name]
             materials[name] = old._replace(material=old.material._replace(color=(r, g, b)))
+        elif statement.key in ("d", "tr") and name and values and _is_number(statement.value.split()[-1]):
+            if statement.key == "d" or name not in dissolved:
+                opacity = float(values[-1]) if statement.key == "d" else 1 - float(values[-1])
+                old, opacity = materials[name], min(max(opacity, 0.0), 1.0)
+                materials[name] = old._replace(material=old.material._replace(opacity=opacity))
+            dissolved |= {name} if statement.key == "d" else set()
+        elif statement.key == "map_d" and name and (file := file_name(statement)):
+            old = materials[name]
+            materials[name] = old._replace(material=old.material._replace(opacity_image=file.name))
         elif statement.key == "map_kd" and name and (file := file_name(statement)):
             kept = {o: v for o, v in file.options.items() if o not in ("-s", "-o")}
             materials[name] = Mapped(
@@ -144,6 +156,12 @@ def files_named(content: bytes) -> list[str]:
     if len(names) > MOST_MAPS:
         raise BadFile(f"{len(names):,} maps, more than {MOST_MAPS:,}; leave some out")
     return list(names)
+
+
+def properties(content: bytes) -> list[str]:
+    """What a library says of materials besides the files it names and what `parse_mtl` reads."""
+    keys = dict.fromkeys(s.key for s in statements(content) if file_name(s) is None and s.key not in READ)
+    return [key.capitalize() if len(key) == 2 else key for key in keys]
 
 
 def renamed(content: bytes, names: Mapping[str, str]) -> bytes:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from flx.mesh.formats.files import BadFile, inside, limit, read_file, write_atomically
+from flx.mesh.formats.files import BadFile, found_beside, inside, is_there, limit, read_file, write_atomically
 from flx.mesh.formats.images import quantized
 from flx.mesh.formats.mtl import (
     edited,
@@ -43,6 +43,9 @@ REST = GAP + rb"*+(?P<value>(?:" + NEXT_LINE + rb"|[^\r\n])*+)"
 CONTINUED = (b"\\\n", b"\\\r", b"\\\r\n")
 LIBRARY = re.compile(rb"mtllib(?=[\s\\]|\Z)" + REST)
 USE = re.compile(rb"usemtl(?=[\s\\]|\Z)" + REST)
+OBJECT = re.compile(rb"o(?=[\s\\])" + REST)
+STRUCTURE = re.compile(rb"(?P<key>[ogs])(?=[\s\\])" + REST)
+LINE = re.compile(rb"[lp](?=[\s\\])")
 FACE = re.compile(rb"f(?=[\s\\])")
 NUMBER = GAP + rb"++([^\s\\#]++)"
 COLORED = re.compile(START + rb"v" + 6 * NUMBER)  # groups 4 to 6 are the colour
@@ -59,12 +62,14 @@ class ObjSource(NamedTuple):
     colors: Float64[Any, "P 3"] | None  # of every v, as the file counts them
 
 
-def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[str]]:
-    """The MTL files that an OBJ names, and the names of those that are not there.
+def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[str], dict[str, str]]:
+    """The MTL files that an OBJ names, the names of those that are not there, and the images found under
+    another name than theirs.
 
     Raises BadFile for one outside of the folder, and for more than `FLX_MAX_BYTES` in all.
     """
     libraries: dict[str, bytes] = {}
+    others: dict[str, str] = {}
     missing, size = [], 0
     named = (_names(folder, found["value"]) for found in _statements(LIBRARY, text))
     for name in dict.fromkeys(name for names in named for name in names):
@@ -75,8 +80,9 @@ def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[st
             continue
         if (size := size + len(content)) > (most := limit("FLX_MAX_BYTES")):
             raise BadFile(f"its MTL files have more than {most:,} bytes; reduce them, or set FLX_MAX_BYTES")
-        libraries[name] = renamed(content, {n: _relative(folder, n) for n in files_named(content)})
-    return libraries, missing
+        own = {n: _relative(folder, n) for n in files_named(content)}
+        libraries[name], others = renamed(content, own), others | own
+    return libraries, missing, {n: o for n, o in others.items() if n != o and not is_there(folder, n)}
 
 
 def _statements(pattern: re.Pattern[bytes], text: bytes) -> Iterator[re.Match[bytes]]:
@@ -101,7 +107,10 @@ def _names(folder: Path, value: bytes) -> list[str]:
 
 
 def _relative(folder: Path, name: str) -> str:
-    """A name that comes into the folder from outside becomes relative, for the file goes along."""
+    """A name that comes into the folder from outside becomes relative, for the file goes along; and one that
+    leads nowhere becomes that of the image which it means."""
+    if not is_there(folder, name) and (found := found_beside(folder, name)).lower().endswith(SUFFIXES):
+        return found
     try:
         own = _own_name(folder, name)
     except BadFile:
@@ -193,6 +202,27 @@ def write_copy(source: ObjSource, path: Path) -> None:
     _write(source, source.libraries, source.text, path)
 
 
+def only_object(source: ObjSource) -> str:
+    """The name of the one object there is; "" without one, and where there are several."""
+    names = {found["value"].strip() for found in _statements(OBJECT, source.text)}
+    return names.pop().decode(errors="replace") if len(names) == 1 else ""
+
+
+def structure(source: ObjSource) -> dict[str, int]:
+    """How many objects, groups and smoothing groups the text has; no smoothing counts none."""
+    names: dict[bytes, set[bytes]] = {b"o": set(), b"g": set(), b"s": set()}
+    for found in _statements(STRUCTURE, source.text):
+        names[found["key"]].add(found["value"].strip())
+    objects, groups, smooth = names.values()
+    smooth -= {b"off", b"0", b""}
+    return {"object": len(objects), "group": len(groups), "smoothing group": len(smooth)}
+
+
+def has_lines(source: ObjSource) -> bool:
+    """Whether the text has elements that are no faces: lines or points."""
+    return next(_statements(LINE, source.text), None) is not None
+
+
 def material_names(source: ObjSource) -> set[str]:
     """The materials that the libraries define."""
     found = [s for content in source.libraries.values() for s in statements(content) if s.key == "newmtl"]
@@ -249,10 +279,12 @@ def _naming(source: ObjSource, text: bytes, written: Mapping[str, str]) -> bytes
     return edited(text, edits)
 
 
-def other_maps(source: ObjSource, painted: Iterable[str]) -> list[str]:
-    """The files, as the libraries name them, that go along where materials get other base colours."""
+def other_names(source: ObjSource, painted: Iterable[str]) -> list[str]:
+    """The files, as the libraries name them, that are still named where materials get other base colours."""
     images = dict.fromkeys(painted, "\0")  # no file is called so
-    return _maps_of(source, [repainted(content, images) for content in source.libraries.values()])
+    libraries = [repainted(content, images) for content in source.libraries.values()]
+    names = dict.fromkeys(name for content in libraries for name in files_named(content))
+    return [name for name in names if name != "\0"]
 
 
 def _maps_of(source: ObjSource, libraries: Iterable[bytes]) -> list[str]:

@@ -22,6 +22,11 @@ TYPES = {
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
+READ = {
+    "vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"},
+    "face": {"vertex_indices", "vertex_index", "texcoord", "texnumber"},
+}
+ASCII = "ASCII text"  # what is written is binary
 CHUNK = 1 << 22  # characters of an ASCII body handled at a time
 MOST_HEADER = 1 << 16
 COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
@@ -56,11 +61,13 @@ class Ply(NamedTuple):
     parts: list[Part]
     images: list[str]
     polygons: int  # faces of more than three corners
+    unread: tuple[str, ...]  # what else there is, in words
 
 
 def parse_ply(content: bytes, name: str) -> Ply:
     """Raises BadFile for a header that is none, a body shorter than it says, and indices out of range."""
-    elements, images, order, at = _header(content)
+    elements, images, order, head = _header(content)
+    at, is_ascii = head, order is None
     body: Body = content
     if order is None:
         text = content[at:].decode("ascii", errors="replace")
@@ -75,9 +82,10 @@ def parse_ply(content: bytes, name: str) -> Ply:
     vertex, face = tables.get("vertex", {}), tables.get("face", {})
     corners = face.get("vertex_indices", face.get("vertex_index"))
     if corners is None or corners.sizes is None or not {"x", "y", "z"} <= vertex.keys():
-        return Ply([], images, 0)
+        return Ply([], images, 0, ())
     kinds = {p.name: p.type for e in elements if e.name == "vertex" for p in e.properties}
-    return _parts(name, vertex, kinds, face, corners, images)
+    found = _parts(name, vertex, kinds, face, corners, images)
+    return found._replace(unread=_unread(elements, content[:head], is_ascii))
 
 
 # ---------------------------------------------------------------------------------------------- the file
@@ -108,6 +116,25 @@ def _header(content: bytes) -> tuple[list[Element], list[str], str | None, int]:
     if order == "":
         raise BadFile("the PLY header names no format; export it again")
     return elements, images, order, end.end()
+
+
+def _unread(elements: list[Element], header: bytes, is_ascii: bool) -> tuple[str, ...]:
+    """Properties, elements and comments that nothing is made of."""
+    found = []
+    for element in elements:
+        names = {p.name for p in element.properties}
+        known = READ.get(element.name)
+        if known is None:
+            found.append(f"{element.length:,} × {element.name}")
+            continue
+        if element.name == "vertex":
+            known = known.union(*[pair for pair in COORDINATES if set(pair) <= names][-1:])
+        found += [f"{element.name} {p.name}" for p in element.properties if p.name not in known]
+    words = [line.split() for line in header.decode("utf-8", errors="replace").splitlines()]
+    texts = [w for w in words if w[:1] in (["comment"], ["obj_info"]) and w[1:] not in ([], ["flx"])]
+    comments = sum(w[0] == "obj_info" or w[1].lower() != "texturefile" for w in texts)
+    found += [f"{comments} comment{'s' * (comments > 1)}"] * (comments > 0)
+    return (*found, *[ASCII] * is_ascii)
 
 
 Body = bytes | memoryview
@@ -266,7 +293,7 @@ def _parts(
                 faces=faces if len(images) < 2 else compact.reshape(-1, 3),
             )
         )
-    return Ply(parts, images, int((corners.sizes > 3).sum()))
+    return Ply(parts, images, int((corners.sizes > 3).sum()), ())
 
 
 def _triple(vertex: dict[str, Column], names: tuple[str, str, str]) -> Float64[Any, "V 3"] | None:

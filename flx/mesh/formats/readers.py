@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from flx.mesh.formats import gltf
-from flx.mesh.formats.files import BadFile, inside, read_file
+from flx.mesh.formats.files import BadFile, found_beside, inside, is_there, read_file, told_apart
 from flx.mesh.formats.gltf import Gltf, Material, Part
 from flx.mesh.formats.mtl import Mapped, parse_mtl
 from flx.mesh.formats.obj import parse_obj
@@ -30,6 +30,8 @@ class Contents(NamedTuple):
     missing_images: tuple[str, ...]
     polygons: int = 0  # faces of more than three corners, cut
     ignored_options: tuple[str, ...] = ()  # of map_Kd
+    unread: tuple[str, ...] = ()  # what else a PLY has
+    found_images: tuple[str, ...] = ()  # under another name than the file's
 
 
 def _read_gltf(path: Path) -> Contents:
@@ -56,6 +58,7 @@ def _read_gltf(path: Path) -> Contents:
         hint="no material has a base colour texture",
         container=container,
         missing_images=tuple(i.get("uri", "an image without data") for i in images if "bufferView" not in i),
+        found_images=container.found,
     )
 
 
@@ -64,7 +67,7 @@ def _read_obj(path: Path) -> Contents:
     if b"\0" in content:
         raise BadFile("not a text, as an OBJ file is; export it again")
     found = parse_obj(content.decode("utf-8-sig", errors="replace"), path.stem)
-    libraries, lost = read_libraries(path.parent, content)
+    libraries, lost, others = read_libraries(path.parent, content)
     maps, missing = find_maps(path.parent, libraries)
     defined: dict[str, Mapped] = {}
     for library in libraries.values():
@@ -81,6 +84,7 @@ def _read_obj(path: Path) -> Contents:
         container=ObjSource(path.parent, content, libraries, maps, found.rows, found.colors),
         missing_images=tuple(missing),
         polygons=found.polygons,
+        found_images=tuple(map(told_apart, others.items())),
         ignored_options=tuple(f"{m.material.name}: {option}" for m in mapped for option in m.options),
     )
 
@@ -95,7 +99,10 @@ def _moved(part: Part, mapped: Mapped) -> Part:
 
 def _read_ply(path: Path) -> Contents:
     found = parse_ply(read_file(path), path.stem)
-    images = found.images or [None]
+    others = {
+        n: o for n in found.images if not is_there(path.parent, n) and (o := found_beside(path.parent, n))
+    }
+    images = [others.get(name, name) for name in found.images] or [None]
     return Contents(
         parts=found.parts,
         materials=[Material(path.stem, (1.0, 1.0, 1.0), image) for image in images],
@@ -104,11 +111,17 @@ def _read_ply(path: Path) -> Contents:
         container=None,
         missing_images=(),
         polygons=found.polygons,
+        unread=found.unread,
+        found_images=tuple(map(told_apart, others.items())),
     )
 
 
 def _load_beside(folder: Path, name: str) -> bytes:
-    return read_file(inside(folder, name))
+    """Raises FileNotFoundError with the name as the file has it."""
+    try:
+        return read_file(inside(folder, name))
+    except FileNotFoundError as fault:
+        raise FileNotFoundError(fault.errno, fault.strerror, name) from fault
 
 
 READERS = {".obj": _read_obj, ".glb": _read_gltf, ".gltf": _read_gltf, ".ply": _read_ply}
