@@ -243,7 +243,8 @@ def _parts(
     corners: Column,
     images: list[str],
 ) -> Ply:
-    points = np.stack([vertex[axis].values for axis in "xyz"], 1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # what is not finite is refused by name, later
+        points = np.stack([vertex[axis].values for axis in "xyz"], 1).astype(np.float64)
     assert corners.sizes is not None
     if (corners.sizes < 3).any():
         raise BadFile(f"face {(corners.sizes < 3).argmax()} has fewer than three corners; export it again")
