@@ -218,6 +218,14 @@ def write_baked(asset: Asset, baked: Baked, path: Path) -> None:
         write_glb_colors(asset, baked.colors, path)
 
 
+def write_atlases(asset: Asset, baked: Baked, path: Path) -> None:
+    """The new images as PNGs beside the mesh at `path`, named after it; an OBJ has its own already."""
+    for index, image in enumerate(baked.images if path.suffix != ".obj" else ()):
+        if not asset.textures[index].flat:
+            suffix = f"_{index}" if len(baked.images) > 1 else ""
+            write_png(path.with_name(f"{path.stem}{suffix}.png"), image)
+
+
 def write_png(path: Path, image: UInt8[Any, "H W 3"]) -> None:
     """A PNG, whole or not at all."""
     write_atomically(path, lambda torn: Image.fromarray(image).save(torn))

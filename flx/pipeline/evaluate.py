@@ -31,6 +31,7 @@ from flx.pipeline.bake import (
     resized,
     shown,
     side_by_side,
+    write_atlases,
     write_baked,
     write_png,
 )
@@ -78,10 +79,7 @@ def reconstruct(
         "peak_bytes": peak_bytes(),
     }
     write_baked(asset, baked, out / f"reconstruction.{format}")
-    for index, image in enumerate(baked.images if format != "obj" else ()):  # an OBJ has its own
-        if not asset.textures[index].flat:
-            suffix = f"_{index}" if len(baked.images) > 1 else ""
-            write_png(out / f"reconstruction{suffix}.png", image)
+    write_atlases(asset, baked, out / f"reconstruction.{format}")
     write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], up, 512))
     write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
     if not judges:

@@ -25,6 +25,7 @@ from flx.pipeline.bake import (
     prepared_for,
     shown,
     side_by_side,
+    write_atlases,
     write_baked,
     write_png,
 )
@@ -88,10 +89,7 @@ def sample(
         z = np.asarray(draw(state.ema, home.tables, key))
         baked = bake(canvas, codec, scaling.to_latents(z))
         write_baked(asset, baked, files[n])
-        for k, image in enumerate(baked.images if format != "obj" else ()):  # an OBJ has its own
-            if not asset.textures[k].flat:
-                suffix = f"_{k}" if len(baked.images) > 1 else ""
-                write_png(out / f"variation_{n:02d}{suffix}.png", image)
+        write_atlases(asset, baked, files[n])
         variations.append(baked)
     names = [f"variation {n:02d}" for n in range(count)]
     write_png(out / "contact_sheet.png", side_by_side(asset, variations[:8], names[:8], surface.up))

@@ -10,7 +10,7 @@ coordinates; the others are kept in their line and reported, like factors that m
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -123,17 +123,14 @@ def parse_mtl(content: bytes) -> dict[str, Mapped]:
             dissolved.discard(name)
         elif statement.key == "kd" and name and len(values) >= 3:
             r, g, b = np.nan_to_num(numbers(" ".join(values[:3]))).clip(0, 1).tolist()
-            old = materials[name]
-            materials[name] = old._replace(material=old.material._replace(color=(r, g, b)))
+            materials[name] = _saying(materials[name], color=(r, g, b))
         elif statement.key in ("d", "tr") and name and values and _is_number(statement.value.split()[-1]):
             if statement.key == "d" or name not in dissolved:
                 opacity = float(values[-1]) if statement.key == "d" else 1 - float(values[-1])
-                old, opacity = materials[name], min(max(opacity, 0.0), 1.0)
-                materials[name] = old._replace(material=old.material._replace(opacity=opacity))
+                materials[name] = _saying(materials[name], opacity=min(max(opacity, 0.0), 1.0))
             dissolved |= {name} if statement.key == "d" else set()
         elif statement.key == "map_d" and name and (file := file_name(statement)):
-            old = materials[name]
-            materials[name] = old._replace(material=old.material._replace(opacity_image=file.name))
+            materials[name] = _saying(materials[name], opacity_image=file.name)
         elif statement.key == "map_kd" and name and (file := file_name(statement)):
             kept = {o: v for o, v in file.options.items() if o not in ("-s", "-o")}
             materials[name] = Mapped(
@@ -143,6 +140,10 @@ def parse_mtl(content: bytes) -> dict[str, Mapped]:
                 options=tuple(" ".join([option, *words]) for option, words in kept.items()),
             )
     return materials
+
+
+def _saying(mapped: Mapped, **properties: Any) -> Mapped:
+    return mapped._replace(material=mapped.material._replace(**properties))
 
 
 def _pair(words: tuple[str, ...], default: float) -> tuple[float, float]:
