@@ -7,7 +7,7 @@ face and knows no place in it (the ablation of the paper's table 1).
 from dataclasses import replace
 from pathlib import Path
 
-from flx.launch import read_config
+from flx.config import read_config
 
 released = read_config(Path(__file__).with_name("flvae.py"))
 config = replace(

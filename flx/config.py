@@ -5,7 +5,9 @@ overrides single fields from the command line. A line there that differs from he
 their range are refused when they are set, before anything is prepared.
 """
 
+import importlib.util
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 Precision = Literal["bfloat16", "float32"]
@@ -148,3 +150,20 @@ class FLDMExperiment:
 
 
 Experiment = FLVAEExperiment | FLDMExperiment
+
+
+def read_config(path: Path) -> Experiment:
+    """Run an experiment file, with the user's rights, and return its `config`.
+
+    Raises ValueError where there is no such file or it makes no experiment.
+    """
+    if path.suffix != ".py" or not path.is_file():
+        raise ValueError(f"{path} is not a config file; give a Python file such as experiments/demo.py")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    config = getattr(module, "config", None)
+    if not isinstance(config, FLVAEExperiment | FLDMExperiment):
+        raise ValueError(f"{path} defines no experiment; let it set `config = FLDMExperiment(...)`")
+    return config

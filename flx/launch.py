@@ -10,7 +10,6 @@
 Exit status: 0 done, 1 failed on the way, 2 wrong input. Errors are one line; `--verbose` adds the traceback.
 """
 
-import importlib.util
 import json
 import os
 import sys
@@ -23,7 +22,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import tyro
 
-from flx.config import Compared, Experiment, FLDMExperiment, FLVAEExperiment
+from flx.config import Compared, FLDMExperiment, read_config
 
 # JAX is imported inside the commands: `--help` and `doctor` stay quick, and the processes that build
 # copies of a mesh import this file too.
@@ -50,8 +49,8 @@ def doctor(
         vertices: Of the planned run; the config's unless given.
         json: Print one JSON object.
     """
-    from flx.mesh.assets import read_asset
-    from flx.mesh.doctor import describe, examine
+    from flx.assets.read import read_asset
+    from flx.commands.doctor import describe, examine
 
     plan = FLDMExperiment() if config is None else read_config(config)
     if not isinstance(plan, FLDMExperiment):
@@ -94,7 +93,7 @@ def sample(
         out: Folder to write to; RUN/samples unless given.
         format: "glb" keeps all that a GLB or glTF held, "obj" all of an OBJ; "ply" holds vertex colours.
     """
-    from flx.pipeline.sample import sample as draw
+    from flx.commands.sample import sample as draw
 
     print(draw(run, count, seed, sampler, steps, texture_size, out, format))
 
@@ -126,7 +125,7 @@ def reconstruct(
         out: Folder to write to; MESH-VERTICES unless given.
         format: "glb" keeps all that a GLB or glTF held, "obj" all of an OBJ; "ply" holds vertex colours.
     """
-    from flx.pipeline.evaluate import reconstruct as there_and_back
+    from flx.commands.reconstruct import reconstruct as there_and_back
 
     print(_json(there_and_back(mesh, vertices, texture, texture_size, weights, seed, up, out, format)))
 
@@ -157,7 +156,7 @@ def evaluate(
         seed: Of the triangulations.
         atlases: Write each new row's texture too.
     """
-    from flx.pipeline.table import markdown, reconstruction_table
+    from flx.evaluation.reconstruction import markdown, reconstruction_table
 
     rows = reconstruction_table(
         reconstruction, vertices, methods, images, weights, texture_size, seed, out, atlases
@@ -175,7 +174,7 @@ def bench(path: Positional[Path | None] = None, /, mesh: bool = False, texture: 
         mesh: Time the geometry (CPU seconds) instead of the networks.
         texture: An image to use instead of the file's own.
     """
-    from flx.pipeline.bench import codec_rows, denoiser_rows, machine, mesh_rows
+    from flx.commands.bench import codec_rows, denoiser_rows, machine, mesh_rows
 
     if path is not None and not mesh:
         raise ValueError(f"{path} is for --mesh; the networks are timed without a file")
@@ -198,29 +197,12 @@ def train(arguments: Sequence[str]) -> None:
         default=experiment,
         args=rest,
     )
-    from flx.pipeline.learn import learn
+    from flx.commands.train import learn
 
     run = learn(experiment, Path("runs"))
     if isinstance(experiment, FLDMExperiment):
         print(f"{run.folder}: learnt; flx sample {run.folder} makes new textures", file=sys.stderr)
     print(run.folder)
-
-
-def read_config(path: Path) -> Experiment:
-    """Run an experiment file, with the user's rights, and return its `config`.
-
-    Raises ValueError where there is no such file or it makes no experiment.
-    """
-    if path.suffix != ".py" or not path.is_file():
-        raise ValueError(f"{path} is not a config file; give a Python file such as experiments/demo.py")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    config = getattr(module, "config", None)
-    if not isinstance(config, FLVAEExperiment | FLDMExperiment):
-        raise ValueError(f"{path} defines no experiment; let it set `config = FLDMExperiment(...)`")
-    return config
 
 
 COMMANDS: dict[str, Callable[..., None]] = {

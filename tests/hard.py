@@ -29,13 +29,13 @@ from shapes import icosphere
 from test_hard_meshes import moebius, sleeve, soup, three_touching_boxes
 from test_triangulations import distances, min_angles, points_on, square_with_hole
 
+from flx.assets.read import read_asset
+from flx.commands.bench import peak_bytes
+from flx.commands.doctor import examine
 from flx.config import FLDMExperiment
-from flx.mesh.assets import read_asset
-from flx.mesh.doctor import examine
-from flx.mesh.repair import shape
-from flx.mesh.tables import mesh_tables
-from flx.mesh.timings import peak_bytes
-from flx.mesh.triangulations import coincidence, remesh
+from flx.geometry.remesh.remesh import coincidence, remesh
+from flx.geometry.repair import shape
+from flx.geometry.tables import mesh_tables
 from flx.types import Triangulation
 
 TEXELS = 1024  # on the longer side of a reconstructed atlas
@@ -180,7 +180,7 @@ def measure(source: Source, vertices: int, out: Path) -> Row:
     )
     angles = min_angles(copy)
     away = max(distances(points_on(copy), mesh).max(), distances(points_on(mesh), copy).max())
-    from flx.pipeline.evaluate import reconstruct  # JAX: not before the geometry's memory is known
+    from flx.commands.reconstruct import reconstruct  # JAX: not before the geometry's memory is known
 
     fidelity = reconstruct(*source[:1], vertices, source.texture, TEXELS, out=out)
     return Row(

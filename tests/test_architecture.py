@@ -15,7 +15,8 @@ import flx
 
 
 @pytest.mark.parametrize(
-    "module", ["flx.types", "flx.config", "flx.mesh.copies", "flx.mesh.assets", "flx.mesh.vase", "flx.launch"]
+    "module",
+    ["flx.types", "flx.config", "flx.geometry.copies", "flx.assets.read", "flx.assets.vase", "flx.launch"],
 )
 def test_geometry_and_the_command_line_load_no_jax(module):
     """Copies are built in processes that import this much; `--help` is quick."""

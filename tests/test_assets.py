@@ -12,10 +12,12 @@ import tifffile
 from hostile import PLY
 from PIL import Image
 
-from flx.mesh.assets import Asset, read_asset, write_glb, write_glb_colors
-from flx.mesh.doctor import describe
-from flx.mesh.formats.gltf import accessor, read_gltf
-from flx.mesh.formats.images import decode_image
+from flx.assets.asset import Asset
+from flx.assets.formats.gltf import accessor, read_gltf
+from flx.assets.formats.images import decode_image
+from flx.assets.read import read_asset
+from flx.assets.write import write_glb, write_glb_colors
+from flx.commands.doctor import describe
 
 # A tetrahedron whose second half has another material; v/vt differ, so that texture seams split vertices.
 OBJ = """mtllib m.mtl

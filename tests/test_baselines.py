@@ -6,10 +6,10 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from shapes import icosphere, square_grid
 
-from flx.mesh.copies import queries, sample_rings
-from flx.pipeline import baselines, intrinsic
-from flx.pipeline.baselines import Subject
-from flx.pipeline.images import ImagePatches
+from flx.evaluation import baselines, neural_field
+from flx.evaluation.baselines import Subject
+from flx.geometry.copies import queries, sample_rings
+from flx.pipeline.patches import ImagePatches
 from flx.types import Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
 
 SLOPES = np.array([[0.5, -0.2, 0.1], [0.1, 0.4, -0.3], [0.2, 0.1, 0.2]])
@@ -82,7 +82,7 @@ def test_encoding_gives_back_the_coefficients_of_a_component(images):
 
 def test_the_second_to_fourth_eigenfunctions_of_a_sphere_are_its_coordinates():
     sphere = icosphere(2)
-    functions = intrinsic.eigenfunctions(sphere)
+    functions = neural_field.eigenfunctions(sphere)
     assert functions.shape == (162, 20)
     assert np.ptp(functions[:, 0]) < 1e-6 and abs(functions[0, 0]) == pytest.approx(1, abs=1e-6)
     _, left, *_ = np.linalg.lstsq(functions[:, 1:4], sphere.vertices, rcond=None)
@@ -91,14 +91,14 @@ def test_the_second_to_fourth_eigenfunctions_of_a_sphere_are_its_coordinates():
 
 def test_eigenfunctions_do_not_see_how_large_a_mesh_is():
     sphere = icosphere(2)
-    larger = intrinsic.eigenfunctions(sphere._replace(vertices=sphere.vertices * 1000))[:, 1:4]
-    _, left, *_ = np.linalg.lstsq(intrinsic.eigenfunctions(sphere)[:, 1:4], larger, rcond=None)
+    larger = neural_field.eigenfunctions(sphere._replace(vertices=sphere.vertices * 1000))[:, 1:4]
+    _, left, *_ = np.linalg.lstsq(neural_field.eigenfunctions(sphere)[:, 1:4], larger, rcond=None)
     assert (left < 1e-6 * (larger**2).sum(0)).all()
 
 
 def test_a_field_learns_its_mesh(monkeypatch):
     for name, value in {"STEPS": 150, "BATCH": 128, "WIDTHS": (32, 32, 3), "RATE": 1e-2}.items():
-        monkeypatch.setattr(intrinsic, name, value)
+        monkeypatch.setattr(neural_field, name, value)
     seen, points, truth = subject(icosphere(2), icosphere(2))
-    found = intrinsic.intrinsic_field(seen)(points)
+    found = neural_field.intrinsic_field(seen)(points)
     assert rms(found, truth) < rms(truth.mean(0), truth) / 5

@@ -11,7 +11,7 @@ import numpy as np
 import optax
 import pytest
 
-from flx.pipeline.checkpoint import Checkpoints
+from flx.training.checkpoint import Checkpoints
 
 
 class State(NamedTuple):
@@ -113,7 +113,7 @@ def test_a_kill_during_a_save_leaves_the_one_before(tmp_path):
     """Save step 1, begin step 2 with 200 MB, kill -9 as soon as its torn folder is there."""
     save = (
         "import sys; from pathlib import Path; import numpy as np\n"
-        "from flx.pipeline.checkpoint import Checkpoints\n"
+        "from flx.training.checkpoint import Checkpoints\n"
         "c = Checkpoints(Path(sys.argv[1]), writer=True)\n"
         "state = {'w': np.random.default_rng(0).random(25_000_000)}\n"
         "state1 = {'w': np.ones(25_000_000)}\n"

@@ -8,14 +8,14 @@ from shapes import icosphere, square_grid
 from test_remesh import mean_edge, rough
 from test_triangulations import assert_sound
 
-from flx.mesh.remesh import closeness
-from flx.mesh.remesh.closeness import FAIR, LONGEST, NEEDLE, WIDEST, gap_to_close, reach, tighten
-from flx.mesh.remesh.finishing import finish
-from flx.mesh.remesh.fit import EASY, fit_of, gaps_of, shapes_of
-from flx.mesh.remesh.smoothing import Surface
-from flx.mesh.remesh.stars import longest_sides, sharpest_cosines
-from flx.mesh.topology import invariants, topology
-from flx.mesh.vectors import area_normals
+from flx.geometry.arrays import area_normals
+from flx.geometry.remesh import tighten as tightening
+from flx.geometry.remesh.deviation import EASY, fit_of, gaps_of, shapes_of
+from flx.geometry.remesh.finishing import finish
+from flx.geometry.remesh.smoothing import Surface
+from flx.geometry.remesh.stars import longest_sides, sharpest_cosines
+from flx.geometry.remesh.tighten import FAIR, LONGEST, NEEDLE, WIDEST, gap_to_close, reach, tighten
+from flx.geometry.topology import invariants, topology
 from flx.types import Triangulation
 
 seeds = st.integers(0, 10**6)
@@ -124,8 +124,8 @@ def test_a_try_never_costs_more_nor_turns_or_stretches_a_face(seed):
     surface = Surface(*hedgehog(), mean_edge(mesh))
     probes = fit_of(mesh, surface, surface.gap).probes
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(closeness, "LAPS", 1)
-        patch.setattr(closeness, "TRIES", 2)  # moves, then flips
+        patch.setattr(tightening, "LAPS", 1)
+        patch.setattr(tightening, "TRIES", 2)  # moves, then flips
         after = tighten(mesh, surface, surface.gap, np.random.default_rng(seed))
     assert (after.vertices != mesh.vertices).any()
     costs = [cost(each, surface, surface.gap, probes) for each in (mesh, after)]
@@ -169,7 +169,7 @@ def test_a_mesh_that_is_its_own_surface_comes_back_bit_for_bit():
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_finished_mesh_reaches_tips_and_leaves_few_wide_gaps(seed, monkeypatch):
     """Of 26 spikes. Without reaching 4 and 1 are touched; without tightening 50 and 39 faces stay too far."""
-    monkeypatch.setattr(closeness, "COARSE", 1.0)  # as on a mesh so fine that it closes every gap
+    monkeypatch.setattr(tightening, "COARSE", 1.0)  # as on a mesh so fine that it closes every gap
     surface = Surface(*hedgehog(), mean_edge(rough(seed)))
     after = finish(rough(seed), surface, np.random.default_rng(seed))
     off = gaps_of(surface.vertices[::100], *after)[0]
@@ -179,13 +179,13 @@ def test_a_finished_mesh_reaches_tips_and_leaves_few_wide_gaps(seed, monkeypatch
 
 def test_no_gap_is_taken_for_narrower_than_it_is(monkeypatch):
     """Not even where a neighbouring patch that closed it in the trial is then left as it was."""
-    tried, short = closeness._take_over, []
+    tried, short = tightening._take_over, []
 
     def watched(fit, change, surface, gap):
         tried(fit, change, surface, gap)
         short.append((gaps_of(fit.probes, fit.vertices, fit.faces)[0] / gap - fit.gaps).max())
 
-    monkeypatch.setattr(closeness, "_take_over", watched)
+    monkeypatch.setattr(tightening, "_take_over", watched)
     surface = Surface(*hedgehog(), mean_edge(rough(0)))
     tighten(rough(0), surface, surface.gap, np.random.default_rng(0))
     assert len(short) > 100 and max(short) < 1e-9

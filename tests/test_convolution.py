@@ -10,7 +10,7 @@ from shapes import icosphere, square_grid, torus
 
 from flx.fields.algebra import tangent_noise
 from flx.fields.convolution import SMOOTHING, field_conv, init_filter, pool, unpool
-from flx.mesh.tables import mesh_tables
+from flx.geometry.tables import mesh_tables
 from flx.types import MeshTables, OneRings, Pooling
 
 FILTERS = ("harmonic", "mlp")

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flx.fields import ddpm
+from flx.fields import diffusion, samplers
 from flx.fields.algebra import tangent_noise
 
-ALPHAS = ddpm.linear_schedule(1000, 1e-4, 2e-2)
+ALPHAS = diffusion.linear_schedule(1000, 1e-4, 2e-2)
 
 
 def test_schedule_falls_from_one_to_almost_nothing():
@@ -20,7 +20,7 @@ def test_schedule_falls_from_one_to_almost_nothing():
 
 def test_ancestral_steps_are_the_gaussian_posterior():
     """q(z_{t−1} | z_t, z_0) by completing the square, with z_0 = (z_t − √(1−α_t) ε)/√α_t put in."""
-    steps = ddpm.ancestral_steps(ALPHAS)
+    steps = samplers.ancestral_steps(ALPHAS)
     for k in (0, 1, 500, 998):
         now, before = ALPHAS[steps.t[k]], ALPHAS[steps.t[k] - 1]
         a = now / before
@@ -32,11 +32,11 @@ def test_ancestral_steps_are_the_gaussian_posterior():
 
 
 def test_last_step_adds_no_noise():
-    steps = ddpm.ancestral_steps(ALPHAS)
+    steps = samplers.ancestral_steps(ALPHAS)
     assert steps.t[-1] == 1 and steps.c3[-1] == 0 and steps.c3[0] > 0.1
 
 
-@pytest.mark.parametrize("steps", [ddpm.ancestral_steps(ALPHAS), ddpm.ddim_steps(ALPHAS, 20)])
+@pytest.mark.parametrize("steps", [samplers.ancestral_steps(ALPHAS), samplers.ddim_steps(ALPHAS, 20)])
 def test_the_exact_denoiser_of_one_point_returns_that_point(steps):
     point = tangent_noise(jax.random.key(0), (7, 3))
     alphas = jnp.asarray(ALPHAS, jnp.float32)
@@ -46,13 +46,13 @@ def test_the_exact_denoiser_of_one_point_returns_that_point(steps):
         return (z - jnp.sqrt(alpha) * point) / jnp.sqrt(1 - alpha)
 
     start = tangent_noise(jax.random.key(1), point.shape)
-    found = ddpm.reverse(exact, steps, start, jax.random.key(2))
+    found = samplers.reverse(exact, steps, start, jax.random.key(2))
     np.testing.assert_allclose(found, point, atol=2e-4)
 
 
 @pytest.mark.parametrize("count", [1, 7, 50, 1000])
 def test_ddim_times_go_from_the_end_to_zero(count):
-    steps = ddpm.ddim_steps(ALPHAS, count)
+    steps = samplers.ddim_steps(ALPHAS, count)
     assert steps.t[0] == 1000 and np.all(np.diff(steps.t) < 0) and len(steps.t) == count
 
 
@@ -66,18 +66,18 @@ def test_a_gaussian_is_sampled_with_its_own_variance():
         return z * jnp.sqrt(1 - alpha) / (alpha * spread**2 + 1 - alpha)
 
     start = tangent_noise(jax.random.key(1), (20_000, 1))
-    for steps in (ddpm.ancestral_steps(ALPHAS), ddpm.ddim_steps(ALPHAS, 200)):
-        found = ddpm.reverse(exact, steps, start, jax.random.key(2))
+    for steps in (samplers.ancestral_steps(ALPHAS), samplers.ddim_steps(ALPHAS, 200)):
+        found = samplers.reverse(exact, steps, start, jax.random.key(2))
         np.testing.assert_allclose(np.var(np.real(found)), spread**2, rtol=0.04)
 
 
 @given(alpha=st.floats(0, 1), seed=st.integers(0, 99))
 def test_diffusion_keeps_unit_power(alpha, seed):
     a, b = (tangent_noise(jax.random.key(seed + k), (4000,)) for k in (0, 1000))
-    power = np.mean(np.abs(ddpm.diffuse(a, b, jnp.float32(alpha))) ** 2)
+    power = np.mean(np.abs(diffusion.diffuse(a, b, jnp.float32(alpha))) ** 2)
     np.testing.assert_allclose(power, 2, rtol=0.1)
 
 
 def test_more_ddim_steps_than_the_schedule_has_are_refused():
     with pytest.raises(ValueError, match="ask for 1 to 1000"):
-        ddpm.ddim_steps(ALPHAS, 1001)
+        samplers.ddim_steps(ALPHAS, 1001)

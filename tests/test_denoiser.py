@@ -12,9 +12,10 @@ from shapes import icosphere, torus
 from test_convolution import field, relative, tables_of, turned
 
 from flx.config import FLDM
-from flx.models.denoiser import Denoiser, FCResNetBlock, blocks_for, reach
+from flx.models.denoiser.depth import blocks_for, reach
+from flx.models.denoiser.mixed import MixedDenoiser
+from flx.models.denoiser.vectors import Denoiser, FCResNetBlock
 from flx.models.layers import timestep_features
-from flx.models.mixed import MixedDenoiser
 from flx.types import MeshTables, OneRings
 
 SMALL = FLDM(latents=3, channels=6, vn_layers=1, embedding=8, conditions=2, precision="float32")

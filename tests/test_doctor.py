@@ -9,10 +9,11 @@ from hostile import OBJ, obj
 from PIL import Image
 from shapes import random_sphere
 
+from flx.assets.asset import Asset
+from flx.assets.read import read_asset
+from flx.commands.doctor import Findings, describe, examine
 from flx.config import FLDM, FLDMExperiment, Surface, Train
 from flx.launch import main
-from flx.mesh.assets import Asset, read_asset
-from flx.mesh.doctor import Findings, describe, examine
 
 PLAN = FLDMExperiment(surface=Surface(vertices=5000, copies=8), train=Train(steps=100, batch=1))
 

@@ -5,7 +5,8 @@ import pytest
 from PIL import Image
 from test_obj_source import changed, saved
 
-from flx.pipeline.evaluate import compare, psnr, reconstruct
+from flx.commands.reconstruct import reconstruct
+from flx.evaluation.fidelity import compare, psnr
 
 
 def pictures() -> tuple[np.ndarray, np.ndarray]:
@@ -64,7 +65,7 @@ def test_an_obj_is_reconstructed_as_the_same_obj_and_its_image_keeps_its_alpha(t
 
 
 def test_what_cannot_be_written_is_refused_before_anything_is_paid_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("flx.pipeline.evaluate.make_copy", lambda *_: pytest.fail("a copy was made"))
+    monkeypatch.setattr("flx.commands.reconstruct.make_copy", lambda *_: pytest.fail("a copy was made"))
     path = saved(tmp_path / "in")
     with pytest.raises(ValueError, match="has textures, a PLY has colours of vertices; take --format"):
         reconstruct(path, out=tmp_path / "out", format="ply")

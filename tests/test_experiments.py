@@ -5,10 +5,9 @@ from pathlib import Path
 import jax
 import pytest
 
-from flx.config import FLVAEExperiment
-from flx.launch import read_config
+from flx.config import FLVAEExperiment, read_config
 from flx.pipeline.codec import initial_params, load_codec
-from flx.pipeline.train import make_optimizer
+from flx.training.optimizer import make_optimizer
 
 FILES = sorted((Path(__file__).parent.parent / "experiments").glob("*.py"))
 

@@ -9,13 +9,21 @@ import trimesh
 from PIL import Image
 from shapes import icosphere
 
-from flx.mesh.assets import read_asset, write_glb, write_glb_colors
-from flx.mesh.exports import write_obj, write_obj_colors, write_ply_colors
-from flx.mesh.formats.gltf import read_gltf
-from flx.mesh.seams import seam_ratio
-from flx.mesh.texels import atlas_texels, surface_colors
-from flx.mesh.unwrap import is_unwrappable, unwrapped
-from flx.pipeline.bake import check_output, prepared_for, write_png
+from flx.assets.formats.gltf import read_gltf
+from flx.assets.preflight import check_output
+from flx.assets.read import read_asset
+from flx.assets.unwrap import is_unwrappable, prepared_for, unwrapped
+from flx.assets.write import (
+    write_glb,
+    write_glb_colors,
+    write_obj,
+    write_obj_colors,
+    write_ply_colors,
+    write_png,
+)
+from flx.geometry.atlas import atlas_texels
+from flx.geometry.sampling import surface_colors
+from flx.geometry.seams import seam_ratio
 
 # A tetrahedron; the first half shows an image that has alpha, the second another image, one face a colour.
 OBJ = """mtllib m.mtl
@@ -61,7 +69,7 @@ def test_the_text_of_an_obj_is_the_same_wherever_its_rows_are_cut(tmp_path, monk
     asset = read_asset(colored(tmp_path))
     colors = np.zeros((asset.report.vertices_read, 3), np.float32)
     write_obj_colors(asset, colors, tmp_path / "whole.obj")
-    monkeypatch.setattr("flx.mesh.exports.BLOCK", block)
+    monkeypatch.setattr("flx.assets.write.BLOCK", block)
     write_obj_colors(asset, colors, tmp_path / "cut.obj")
     text = (tmp_path / "whole.obj").read_text()
     assert text == (tmp_path / "cut.obj").read_text()
@@ -104,7 +112,7 @@ def test_a_glb_goes_out_as_an_obj_where_its_nodes_put_it(tmp_path):
     write_glb(asset := read_asset(textured(tmp_path)), asset.mesh.textures, tmp_path / "a.glb")
     moved = read_gltf(tmp_path / "a.glb")
     moved.document["nodes"][0]["translation"] = [1, 2, 3]
-    from flx.mesh.formats.glb import glb_bytes
+    from flx.assets.formats.glb import glb_bytes
 
     (tmp_path / "b.glb").write_bytes(glb_bytes(moved))
     source = read_asset(tmp_path / "b.glb")

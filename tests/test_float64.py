@@ -17,11 +17,11 @@ from test_convolution import relative, turned
 from test_tangent import moved, sheet
 
 from flx.config import FLDM, FLVAE
-from flx.mesh.tables import exact_tables, stack
-from flx.mesh.tangent import corner_logs, tangent_frames
-from flx.models.denoiser import Denoiser
-from flx.models.mixed import MixedDenoiser
-from flx.models.vae import FieldLatentVAE
+from flx.geometry.tables import exact_tables, stack
+from flx.geometry.tangent import corner_logs, tangent_frames
+from flx.models.codec.vae import FieldLatentVAE
+from flx.models.denoiser.mixed import MixedDenoiser
+from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.codec import initial_params
 from flx.types import MeshTables, OneRings, Pooling, Queries, RingSamples, Triangulation
 

@@ -10,9 +10,9 @@ from hostile import OBJ, PLY, obj, ply_binary, png
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flx.mesh.assets import read_asset
-from flx.mesh.formats.obj import fans, parse_obj
-from flx.mesh.formats.ply import parse_ply
+from flx.assets.formats.obj import fans, parse_obj
+from flx.assets.formats.ply import parse_ply
+from flx.assets.read import read_asset
 
 HEAD = PLY[: PLY.index("end_header")]
 
@@ -62,7 +62,7 @@ def test_obj_has_many_spellings(rewrite):
 
 @pytest.mark.parametrize("piece", [0, 1, 7, 60])
 def test_lines_keep_their_numbers_wherever_the_text_is_cut(piece, monkeypatch):
-    monkeypatch.setattr("flx.mesh.formats.obj.PIECE", piece)
+    monkeypatch.setattr("flx.assets.formats.obj.PIECE", piece)
     text = OBJ.replace("f 1/1 2/2", "\n\nf 1/1 2/2")
     assert np.array_equal(corners(parse_obj(text, "a").parts), corners(parse_obj(OBJ, "a").parts))
     with pytest.raises(ValueError, match="line 14 names v 9"):

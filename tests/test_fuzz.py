@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parent))
 import hostile
 
-from flx.mesh.assets import read_asset
+from flx.assets.read import read_asset
 
 CASES = int(os.environ.get("FLX_FUZZ", "100"))
 ODD = (-1, 0, 1, 2, 3, 7, 255, 65535, 1 << 31, 1 << 40, 0.5, -0.0, 1e-300, 1e30, 1e300, math.nan, math.inf)

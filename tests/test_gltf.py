@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
-from flx.mesh.assets import read_asset, write_glb, write_glb_colors
-from flx.mesh.formats.files import write_atomically
-from flx.mesh.formats.glb import glb_bytes, replace_base_color
-from flx.mesh.formats.gltf import Gltf, accessor, image_bytes, linear, parts, read_gltf, srgb
-from flx.pipeline.bake import check_output
+from flx.assets.formats.glb import glb_bytes, replace_base_color
+from flx.assets.formats.gltf import Gltf, accessor, image_bytes, parts, read_gltf
+from flx.assets.preflight import check_output
+from flx.assets.read import read_asset
+from flx.assets.write import write_glb, write_glb_colors
+from flx.files import write_atomically
+from flx.geometry.color import linear, srgb
 
 
 def png(color, size=(8, 4), alpha=None) -> bytes:

@@ -18,11 +18,11 @@ from test_triangulations import (
     square_with_hole,
 )
 
-from flx.mesh.copies import queries, sample_rings
-from flx.mesh.repair import repair
-from flx.mesh.tables import mesh_tables, one_rings
-from flx.mesh.tangent import mean_vertex_radius, tangent_frames
-from flx.mesh.triangulations import remesh
+from flx.geometry.copies import queries, sample_rings
+from flx.geometry.remesh.remesh import remesh
+from flx.geometry.repair import repair
+from flx.geometry.tables import mesh_tables, one_rings
+from flx.geometry.tangent import mean_vertex_radius, tangent_frames
 from flx.types import SurfacePoints, TexturedMesh, Triangulation
 
 BLUE, RED = np.array([0.1, 0.2, 0.9], np.float32), np.array([0.9, 0.3, 0.1], np.float32)

@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 
 from flx.config import FLVAE, Images
-from flx.pipeline import images
-from flx.pipeline.images import VERTICES, ImagePatches, Lay
-from flx.pipeline.prints import printed_pages
+from flx.pipeline import patches as patching
+from flx.pipeline.patches import VERTICES, ImagePatches, Lay
+from flx.pipeline.printed_pages import printed_pages
 
 CONFIG, MODEL = Images(queries=2), FLVAE(samples=16)
 
@@ -23,8 +23,8 @@ def patches(tmp_path_factory) -> ImagePatches:
         picture = 127 + 120 * np.sin(np.stack([x * (k + 3), y * 4, x + y], -1) * 3)
         Image.fromarray(picture[: size[0], : size[1]].astype(np.uint8)).save(folder / f"{k}.png")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(images, "SHEETS", 3)
-        patch.setattr(images, "SHEET_VERTICES", 150)
+        patch.setattr(patching, "SHEETS", 3)
+        patch.setattr(patching, "SHEET_VERTICES", 150)
         yield ImagePatches(Images(str(folder), queries=2), MODEL, 8)
 
 
@@ -106,7 +106,7 @@ def test_colours_are_those_under_the_point():
     ramp = np.zeros((1, 32, 256, 3), np.uint8)
     ramp[..., 0] = np.arange(256)
     x = jnp.linspace(0.3, 250.7, 11)[None]
-    colors = images.bilinear(jnp.asarray(ramp), jnp.array([0]), x, jnp.full_like(x, 7.25))
+    colors = patching.bilinear(jnp.asarray(ramp), jnp.array([0]), x, jnp.full_like(x, 7.25))
     np.testing.assert_allclose(colors[0, :, 0] * 255, x[0], atol=1e-3)
 
 
@@ -117,7 +117,9 @@ def test_a_lay_scales_turns_and_stretches_about_the_middle():
     places = jnp.array([[0, 3, 3j, -2 - 1j]])
 
     def read(**changed):
-        return np.asarray(images.colors_at(jnp.asarray(ramp), plain(1, **changed), places)[0])[0, :, 0] * 255
+        return (
+            np.asarray(patching.colors_at(jnp.asarray(ramp), plain(1, **changed), places)[0])[0, :, 0] * 255
+        )
 
     one = jnp.ones(1)
     np.testing.assert_allclose(read(), 127.5 + np.array([0, 3, 0, -2]), atol=1e-3)
@@ -132,7 +134,7 @@ def test_a_lay_reaches_from_one_border_of_its_image_to_the_other():
     ramp = np.zeros((1, 256, 256, 3), np.uint8)
     ramp[..., 0], ramp[..., 1] = np.arange(256), np.arange(256)[:, None]
     lay = plain(3, corner=jnp.array([[0, 0], [1, 0], [0.25, 1]]))
-    read = images.colors_at(jnp.asarray(ramp), lay, jnp.tile(jnp.array([0, 5, -3j]), (3, 1)))[0]
+    read = patching.colors_at(jnp.asarray(ramp), lay, jnp.tile(jnp.array([0, 5, -3j]), (3, 1)))[0]
     np.testing.assert_allclose(255 * read[:, 0, :2], [[5, 5], [250, 5], [66.25, 250]], atol=2e-3)
 
 
@@ -143,19 +145,19 @@ def test_what_is_painted_anew_is_measured_from_the_mean_of_the_rings():
     rings, queries = jnp.array([[-50.0, 50.0 + 0j]]), jnp.array([[20.0 + 0j, 40.0, 30.0]])
     one = jnp.ones(1)
     order = jnp.array([[1, 2, 0]])
-    mixed = images.colors_at(jnp.asarray(ramp), plain(1, channels=order, painted=one), rings, queries)
+    mixed = patching.colors_at(jnp.asarray(ramp), plain(1, channels=order, painted=one), rings, queries)
     np.testing.assert_allclose(255 * mixed[1][0, :, 2], 127.5 + np.array([20, 40, 30]), atol=1e-2)
     np.testing.assert_allclose(mixed[1][..., :2], 0, atol=1e-6)
-    flat = images.colors_at(jnp.asarray(ramp), plain(1, contrast=0 * one, painted=one), rings, queries)
+    flat = patching.colors_at(jnp.asarray(ramp), plain(1, contrast=0 * one, painted=one), rings, queries)
     np.testing.assert_allclose(255 * flat[1], 127.5 / 3, atol=1e-2)
 
 
 def test_half_of_the_patches_are_painted_anew_and_within_range():
     picture = np.random.default_rng(4).integers(0, 256, (1, 64, 64, 3)).astype(np.uint8)
-    lay = images.random_lay(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
+    lay = patching.random_lay(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
     places = jnp.asarray(np.random.default_rng(5).normal(size=(4000, 6)) * (1 + 1j), jnp.complex64)
-    painted = images.colors_at(jnp.asarray(picture), lay, places)[0]
-    kept = images.colors_at(jnp.asarray(picture), lay._replace(painted=jnp.zeros(4000)), places)[0]
+    painted = patching.colors_at(jnp.asarray(picture), lay, places)[0]
+    kept = patching.colors_at(jnp.asarray(picture), lay._replace(painted=jnp.zeros(4000)), places)[0]
     share = np.mean(np.all(painted == kept, axis=(1, 2)))
     assert 0.45 < share < 0.55 and painted.min() == 0 and painted.max() == 1
 

@@ -9,12 +9,12 @@ from hostile import PLY, document, glb, png
 from PIL import Image
 from test_obj_source import CUBE, colored, saved
 
+from flx.assets.asset import Asset
+from flx.assets.formats.obj_source import ObjSource
+from flx.assets.write import write_glb, write_glb_colors, write_obj
 from flx.config import Surface
-from flx.mesh.assets import Asset, write_glb, write_glb_colors
-from flx.mesh.exports import write_obj
-from flx.mesh.formats.obj_source import ObjSource
-from flx.pipeline.kept import keep, read_kept, read_source
-from flx.pipeline.runs import Run
+from flx.training.run import Run
+from flx.training.run_asset import keep, read_kept, read_source
 
 
 def obj(folder: Path) -> Path:
@@ -145,7 +145,7 @@ def test_a_copy_that_was_killed_is_made_again(tmp_path, monkeypatch):
     asset = read_source(surface)
     with monkeypatch.context() as patch:
         # Maps and MTL are there, the OBJ is not.
-        patch.setattr("flx.mesh.formats.obj_source._naming", lambda *_: 1 / 0)
+        patch.setattr("flx.assets.formats.obj_source._naming", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             keep(asset, run, surface)
     assert (run.asset / "files" / "cube.mtl").exists()

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from flx.mesh.vase import write_vase
+from flx.assets.vase import write_vase
 
 ROOT = Path(__file__).parent.parent
 SMOKE = str(ROOT / "experiments" / "smoke.py")

@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 from shapes import square_grid
 
+from flx.commands.train import learn
 from flx.config import FLDM, FLVAE, FLVAEExperiment
 from flx.fields.algebra import tangent_noise
-from flx.mesh.tables import mesh_tables, stack
-from flx.models.denoiser import Denoiser
+from flx.fields.diffusion import latent_scaling
+from flx.geometry.tables import mesh_tables, stack
+from flx.models.denoiser.vectors import Denoiser, schedule
 from flx.pipeline.codec import initial_params
-from flx.pipeline.images import PatchBatch
-from flx.pipeline.learn import MeshBatch, diffusion_loss, image_loss, latent_scaling, learn, schedule
-from flx.pipeline.prepare import Prepared
+from flx.pipeline.copies import Prepared
+from flx.pipeline.patches import PatchBatch
+from flx.training.fldm import MeshBatch, diffusion_loss
+from flx.training.flvae import image_loss
 from flx.types import Queries, RingSamples
 
 
@@ -29,7 +32,7 @@ def test_scaling_is_undone_turns_with_the_frame_and_has_the_size_of_noise():
     spread = np.array([3, 0.1, 5, 0.2]) + 1j * np.array([3, 0.1, 0.3, 7])
     z = rng.normal(size=(5000, 4)) * spread.real + 1j * rng.normal(size=(5000, 4)) * spread.imag
     z = (z + np.array([0, 0, 9 - 4j, 2j])).astype(np.complex64)
-    scaling = latent_scaling([copy_of(z[:2500]), copy_of(z[2500:])], invariants=2)
+    scaling = latent_scaling(z, invariants=2)
     scaled = scaling.to_diffusion(z)
     np.testing.assert_allclose(scaling.to_latents(scaled), z, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(np.abs(scaled[:, :2]).mean(0), np.sqrt(np.pi / 2), rtol=1e-3)

@@ -9,19 +9,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from flx.assets.asset import Asset
+from flx.assets.conversion import left_behind
+from flx.assets.formats import glb
+from flx.assets.formats.files import found_beside
+from flx.assets.formats.gltf import Gltf, read_gltf
+from flx.assets.formats.mtl import files_named, parse_mtl, renamed, repainted
+from flx.assets.formats.obj_source import ObjSource, write_copy
+from flx.assets.preflight import check_output
+from flx.assets.read import read_asset
+from flx.assets.unwrap import prepared_for
+from flx.assets.write import check_room, write_glb, write_obj, write_obj_colors
+from flx.commands.doctor import describe
 from flx.config import Surface
-from flx.mesh.assets import Asset, read_asset, write_glb
-from flx.mesh.doctor import describe
-from flx.mesh.exports import check_room, write_obj, write_obj_colors
-from flx.mesh.formats import glb
-from flx.mesh.formats.files import found_beside
-from flx.mesh.formats.gltf import Gltf, read_gltf
-from flx.mesh.formats.mtl import files_named, parse_mtl, renamed, repainted
-from flx.mesh.formats.obj_source import ObjSource, write_copy
-from flx.mesh.losses import left_behind
-from flx.pipeline.bake import check_output, prepared_for
-from flx.pipeline.kept import keep
-from flx.pipeline.runs import Run
+from flx.training.run import Run
+from flx.training.run_asset import keep
 
 # A cube of quads, a triangle pair and two materials; one face goes on in the next line.
 CUBE = """# made by hand, ünïcode

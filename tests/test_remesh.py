@@ -12,14 +12,16 @@ from scipy.spatial import Delaunay, KDTree
 from shapes import icosphere, random_sphere, square_grid, torus
 from test_triangulations import assert_sound, box
 
-from flx.mesh.remesh import finishing
-from flx.mesh.remesh.features import features
-from flx.mesh.remesh.finishing import SHARP, widen_angles
-from flx.mesh.remesh.fit import Fit, Shapes, fit_of, gaps_of
-from flx.mesh.remesh.operators import collapse, disjoint, flip
-from flx.mesh.remesh.smoothing import Surface, smooth
-from flx.mesh.remesh.stars import independent, sharpest_cosines
-from flx.mesh.topology import (
+from flx.geometry.arrays import area_normals, length_of
+from flx.geometry.remesh import finishing
+from flx.geometry.remesh.deviation import Fit, Shapes, fit_of, gaps_of
+from flx.geometry.remesh.features import features
+from flx.geometry.remesh.finishing import SHARP, widen_angles
+from flx.geometry.remesh.operators import collapse, disjoint, flip
+from flx.geometry.remesh.planar import planar
+from flx.geometry.remesh.smoothing import Surface, smooth
+from flx.geometry.remesh.stars import independent, sharpest_cosines
+from flx.geometry.topology import (
     all_of,
     any_of,
     boundary_loops,
@@ -30,8 +32,6 @@ from flx.mesh.topology import (
     mark,
     topology,
 )
-from flx.mesh.triangulations import planar
-from flx.mesh.vectors import area_normals, length_of
 from flx.types import Triangulation
 
 seeds = st.integers(0, 10**6)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flx.mesh.render import ENCODED, LINEAR, contact_sheet, render
+from flx.geometry.render import ENCODED, LINEAR, contact_sheet, render
 from flx.types import TexturedMesh
 
 RED, GREEN, BLUE = (np.array(c, np.uint8) for c in ((220, 30, 30), (30, 200, 30), (30, 30, 220)))

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 from shapes import icosphere, random_sphere
 
-from flx.mesh.repair import WELD_TOLERANCE, repair, shape, weld
-from flx.mesh.rows import distinct_rows
+from flx.geometry.arrays import distinct_rows
+from flx.geometry.repair import WELD_TOLERANCE, repair, shape, weld
 
 
 def soup(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.config import FLDM, FLVAE, FLDMExperiment, FLVAEExperiment, Surface, Train
-from flx.mesh.formats.files import write_atomically
-from flx.pipeline.runs import load_config, load_fingerprint, only_trainer, open_run
+from flx.files import write_atomically
+from flx.training.run import load_config, load_fingerprint, only_trainer, open_run
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(0, allow_nan=False, allow_infinity=False)
@@ -179,7 +179,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 def test_a_second_trainer_is_refused_and_a_killed_one_is_not_in_the_way(tmp_path):
     run = open_run(tmp_path, demo, "ab12")
     hold = (
-        "import sys, time; from pathlib import Path; from flx.pipeline.runs import Run, only_trainer\n"
+        "import sys, time; from pathlib import Path; from flx.training.run import Run, only_trainer\n"
         "with only_trainer(Run(Path(sys.argv[1]))): print('held', flush=True); time.sleep(60)"
     )
     with subprocess.Popen(

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from shapes import icosphere
 
-from flx.mesh.seams import seam_jump, seam_ratio
-from flx.mesh.texels import atlas_texels, paint, positions
+from flx.geometry.atlas import atlas_texels, paint
+from flx.geometry.sampling import positions
+from flx.geometry.seams import seam_jump, seam_ratio
 from flx.types import TexturedMesh
 
 SIZE = 256

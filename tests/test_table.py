@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from flx.mesh.vase import write_vase
-from flx.pipeline import table
-from flx.pipeline.table import markdown, means, reconstruction_table
+from flx.assets.vase import write_vase
+from flx.evaluation import reconstruction
+from flx.evaluation.reconstruction import markdown, means, reconstruction_table
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +15,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table")
     write_vase(folder / "vase.glb")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(table, "installed_judges", lambda: ())
+        patch.setattr(reconstruction, "installed_judges", lambda: ())
         measure(folder, [400], ["vertex_colours"])
         yield folder
 
@@ -32,7 +32,7 @@ def refuse(subject):
 
 def test_rows_that_are_there_are_kept_and_others_added(folder, monkeypatch):
     first = json.loads((folder / "out" / "table.json").read_text())["rows"]
-    monkeypatch.setattr(table, "vertex_colours", refuse)
+    monkeypatch.setattr(reconstruction, "vertex_colours", refuse)
     assert measure(folder, [400], ["vertex_colours"]) == first
     rows = measure(folder, [400], ["vertex_colours", "flvae"])
     assert rows[0] == first[0] and [row["method"] for row in rows] == ["vertex_colours", "flvae"]
@@ -79,10 +79,10 @@ def test_colours_reach_the_texels_of_their_points(folder):
     """The whole way of a row with an exact method: the texels' own colours leave no error."""
     from shapes import icosphere
 
-    from flx.mesh.assets import read_asset
-    from flx.mesh.texels import surface_colors
-    from flx.pipeline.bake import CHUNK, open_canvas, painted
-    from flx.pipeline.evaluate import fidelity
+    from flx.assets.read import read_asset
+    from flx.evaluation.fidelity import fidelity
+    from flx.geometry.sampling import surface_colors
+    from flx.pipeline.canvas import CHUNK, open_canvas, painted
 
     asset = read_asset(folder / "vase.glb")
     size = max(asset.mesh.textures[0].shape[:2])
@@ -96,8 +96,8 @@ def test_colours_reach_the_texels_of_their_points(folder):
 
 def test_chunks_are_asked_where_the_texels_are(folder):
     """On its own triangles, a texel's corners and weights lead back to its place on the surface, in order."""
-    from flx.mesh.assets import read_asset
-    from flx.pipeline.bake import chunks, open_canvas
+    from flx.assets.read import read_asset
+    from flx.pipeline.canvas import chunks, open_canvas
     from flx.types import Triangulation
 
     asset = read_asset(folder / "vase.glb")
@@ -116,7 +116,7 @@ def test_an_image_is_laid_on_a_sheet_of_its_proportions(tmp_path):
 
     picture = np.random.default_rng(0).integers(0, 256, (40, 60, 3)).astype(np.uint8)
     Image.fromarray(picture).save(tmp_path / "picture.png")
-    asset = table.read_sheet(tmp_path / "picture.png")
+    asset = reconstruction.read_sheet(tmp_path / "picture.png")
     np.testing.assert_array_equal(asset.mesh.textures[0], picture)
     size = np.ptp(asset.mesh.vertices, axis=0)
     np.testing.assert_allclose(size / size[1], [1.5, 1, 0])

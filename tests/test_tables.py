@@ -10,8 +10,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from test_tangent import bump, folded, grid_faces, moved, sheet, sphere, torus
 
-from flx.mesh.tables import load_tables, mesh_tables, one_rings, save_tables, stack
-from flx.mesh.tangent import mean_vertex_radius, tangent_frames, transports
+from flx.geometry.tables import mesh_tables, one_rings, stack
+from flx.geometry.tangent import mean_vertex_radius, tangent_frames, transports
+from flx.pipeline.copies import load_tables, save_tables
 from flx.types import MeshTables, OneRings, Pooling, Triangulation
 
 seeds = st.integers(0, 10**6)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.stats import special_ortho_group
 
-from flx.mesh.tangent import (
+from flx.geometry.tangent import (
     TangentFrames,
     corner_logs,
     mean_vertex_radius,

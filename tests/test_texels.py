@@ -6,19 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flx.mesh.texels import (
-    atlas_texels,
-    face_normals,
-    fill_gutter,
-    locate,
-    paint,
-    pixels_inside,
-    positions,
-    ring_points,
-    surface_colors,
-    texture_colors,
-    with_filled_gutters,
-)
+from flx.geometry.atlas import atlas_texels, fill_gutter, paint, with_filled_gutters
+from flx.geometry.raster import pixels_inside
+from flx.geometry.sampling import face_normals, locate, positions, ring_points, surface_colors, texture_colors
 from flx.types import SurfacePoints, TexturedMesh, Triangulation
 
 
@@ -86,7 +76,7 @@ def test_v_runs_down():
 def test_chunks_do_not_show(monkeypatch):
     uvs = np.random.default_rng(0).normal(size=(1000, 2))
     whole = texture_colors(noise(7, 5), uvs)
-    monkeypatch.setattr("flx.mesh.texels.CHUNK", 7)
+    monkeypatch.setattr("flx.geometry.atlas.CHUNK", 7)
     np.testing.assert_array_equal(texture_colors(noise(7, 5), uvs), whole)
 
 
@@ -185,8 +175,8 @@ def test_the_first_face_owns_a_shared_texel_whatever_the_chunks(monkeypatch):
     whole = atlas_texels(mesh, 0, 16, 16)
     columns, rows = whole.columns, whole.rows
     assert (whole.points.faces == 0).all() and len(rows) == 256  # face 0 alone reaches every texel
-    monkeypatch.setattr("flx.mesh.raster.CHUNK", 5)
-    monkeypatch.setattr("flx.mesh.texels.CHUNK", 5)
+    monkeypatch.setattr("flx.geometry.raster.CHUNK", 5)
+    monkeypatch.setattr("flx.geometry.atlas.CHUNK", 5)
     parts = atlas_texels(mesh, 0, 16, 16)
     np.testing.assert_array_equal(parts.columns, columns)
     np.testing.assert_array_equal(parts.points.barycentrics, whole.points.barycentrics)

@@ -18,18 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.config import Train
-from flx.pipeline.checkpoint import Checkpoints
-from flx.pipeline.runs import Run
-from flx.pipeline.train import (
-    ADAM_BESIDE_MUON,
-    TrainState,
-    initial_state,
-    learning_rate,
-    make_optimizer,
-    make_step,
-    restore,
-    train,
-)
+from flx.training.checkpoint import Checkpoints
+from flx.training.loop import TrainState, initial_state, make_step, restore, train
+from flx.training.optimizer import ADAM_BESIDE_MUON, learning_rate, make_optimizer
+from flx.training.run import Run
 
 config = Train(steps=12, batch=4, learning_rate=0.1, checkpoint_every=5, log_every=1, ema=0.9, seed=3)
 INIT = {"w": jnp.linspace(-1.0, 1.0, 6).reshape(3, 2), "b": jnp.zeros(2)}
@@ -310,7 +302,7 @@ def test_a_configuration_that_cannot_train_is_refused(tmp_path, change, told):
 
 
 def test_without_a_terminal_progress_is_told_in_lines(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("flx.pipeline.train._SILENCE", 0.0)
+    monkeypatch.setattr("flx.training.log._SILENCE", 0.0)
     train(Run(tmp_path / "lines"), config, INIT, loss_fn, batches)
     lines = capsys.readouterr().err.splitlines()
     assert "compiled the train step in" in lines[0]

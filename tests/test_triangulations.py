@@ -11,7 +11,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flx.mesh.triangulations import coincidence, planar, remesh
+from flx.geometry.remesh.planar import planar
+from flx.geometry.remesh.remesh import coincidence, remesh
 from flx.types import Triangulation
 
 

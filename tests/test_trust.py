@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flx
-from flx.mesh.tables import load_tables
+from flx.pipeline.copies import load_tables
 
 SOURCES = sorted(Path(flx.__file__).parent.rglob("*.py"))
 # Calls that run what they are given. An Unpickler of one's own, which says what it finds, is none.
@@ -41,7 +41,8 @@ def _names(folder: Path) -> list[str]:
     """What a file of tables holds."""
     from shapes import icosphere
 
-    from flx.mesh.tables import mesh_tables, save_tables
+    from flx.geometry.tables import mesh_tables
+    from flx.pipeline.copies import save_tables
     from flx.types import Triangulation
 
     save_tables(folder / "good.npz", mesh_tables(Triangulation(*icosphere(1))))
@@ -67,4 +68,4 @@ def test_only_configs_are_code():
                 )
                 if name in ("np.load", "numpy.load") and not refused:
                     found.append(f"{path.name}: {name}")
-    assert found == ["launch.py: spec.loader.exec_module"]
+    assert found == ["config.py: spec.loader.exec_module"]

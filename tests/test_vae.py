@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from flx.config import FLVAE
 from flx.fields import polynomials
 from flx.fields.algebra import complex_linear, real_pairs, tangent_noise
-from flx.models import frame
+from flx.models.codec import frame
+from flx.models.codec.transformer import Attention
+from flx.models.codec.vae import FieldLatentVAE, blend_weights, flvae_loss, kl_divergence
 from flx.models.layers import Posterior
-from flx.models.transformer import Attention
-from flx.models.vae import FieldLatentVAE, blend_weights, flvae_loss, kl_divergence
 from flx.pipeline.codec import Codec, initial_params, load_codec, save_codec
 from flx.types import Queries, RingSamples
 

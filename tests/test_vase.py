@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from flx.mesh.texels import atlas_texels, face_normals, texture_colors
-from flx.mesh.vase import vase, write_vase
+from flx.assets.vase import vase, write_vase
+from flx.geometry.atlas import atlas_texels
+from flx.geometry.sampling import face_normals, texture_colors
 from flx.types import TexturedMesh
 
 

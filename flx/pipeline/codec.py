@@ -17,8 +17,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from flx.config import FLVAE
-from flx.mesh.formats.files import write_atomically
-from flx.models.vae import FieldLatentVAE
+from flx.files import write_atomically
+from flx.models.codec.vae import FieldLatentVAE
 from flx.types import Queries, RingSamples
 
 WEIGHTS = Path(__file__).parent.parent / "weights"

@@ -1,0 +1,80 @@
+"""A mesh file in memory: `Asset` as it was read, `Report` of its repairs, `Baked` colours to write back."""
+
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from jaxtyping import Float32, Int, UInt8
+
+from flx.assets.formats.gltf import Gltf
+from flx.assets.formats.obj_source import ObjSource
+from flx.assets.formats.parts import Paint, Part
+from flx.types import TexturedMesh
+
+
+class Texture(NamedTuple):
+    """What an RGB image of the mesh leaves out."""
+
+    name: str
+    alpha: UInt8[Any, "H W"] | None
+    flat: bool  # made from a material's colour: never replaced
+    made_from: str = ""  # what it was, if not 8-bit RGB: "16-bit grey"
+
+
+class Report(NamedTuple):
+    """What was in the file and what was repaired. Plain numbers and words, for JSON (`_asdict`)."""
+
+    path: str
+    format: str
+    parts: int
+    materials: int
+    vertices_read: int  # rows; of an OBJ, distinct combinations of v, vt and vn
+    faces_read: int
+    polygons: int  # faces of more than three corners, cut into fans
+    welded_vertices: int
+    degenerate_faces: int
+    ear_faces: int
+    duplicate_faces: int
+    unused_vertices: int
+    nonmanifold_edges: int
+    disagreeing_edges: int
+    nonmanifold_vertices: int
+    split_vertices: int
+    vertices: int
+    faces: int
+    components: int
+    boundary_edges: int
+    boundary_loops: int
+    euler: int
+    sliver_faces: int
+    flat_uv_faces: int  # no area on the texture
+    outside_uv_faces: int  # a corner outside [0, 1]: the texture repeats there
+    color_source: str  # "texture" or "vertex colours"
+    textures: tuple[str, ...]
+    missing_images: tuple[str, ...]  # of other maps, or not to be copied; the reference is kept as it is
+    ignored_options: tuple[str, ...]  # of map_Kd; kept as they are
+    found_images: tuple[str, ...]  # which the file names otherwise: by another machine's path, or capitals
+    unread: tuple[str, ...]  # of a PLY: properties, elements, comments that flx makes nothing of
+
+
+class Asset(NamedTuple):
+    """A mesh to work on, and all that is needed to give the file back with other colours."""
+
+    path: Path
+    mesh: TexturedMesh
+    report: Report
+    parts: tuple[Part, ...]
+    paints: tuple[Paint, ...]  # by `Part.material`
+    textures: tuple[Texture, ...]  # beside `mesh.textures`
+    corner_vertices: Int[Any, "F 3"]  # the original vertex of each corner, counted through the parts
+    container: Gltf | ObjSource | None  # the file, if it was GLB, glTF or OBJ
+    digest: str  # SHA-256 of geometry and colours
+
+
+Format = Literal["glb", "obj", "ply"]
+
+
+class Baked(NamedTuple):
+    """New colours of an asset: an image for each of its textures, or a colour for each of its vertices."""
+
+    images: tuple[UInt8[Any, "_ _ 3"], ...]
+    colors: Float32[Any, "V 3"]

@@ -1,0 +1,124 @@
+"""What a file has that one of another format will not have, in words.
+
+The formats' own words, so that a user finds them in his file. Nothing is said of what keeps its meaning:
+transforms of nodes are applied, and what flx writes is as opaque and as smooth as what it read.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+
+from flx.assets.asset import Asset
+from flx.assets.formats import glb, gltf, obj_source
+from flx.assets.formats.gltf import Gltf
+from flx.assets.formats.mtl import properties
+from flx.assets.formats.obj_source import ObjSource
+from flx.assets.formats.ply import ASCII
+from flx.assets.write import names_beside
+
+MOST = 12  # things named of one kind
+APPLIED = {"KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp"}
+WRITTEN = {"POSITION", "NORMAL", "TEXCOORD_0", "COLOR_0"}
+USUAL = {"metallicFactor": 0, "roughnessFactor": 1}  # what an MTL means that says nothing of it
+
+
+def left_behind(asset: Asset, format: str) -> str:
+    """All that stays behind where the asset is written in a format, in one line. Empty: nothing."""
+    source = asset.container
+    if is_kept(asset, format):
+        return ""
+    found = _counted({"polygon": asset.report.polygons})
+    if isinstance(source, Gltf):
+        found += _of_gltf(asset, source)
+    elif isinstance(source, ObjSource):
+        found += _of_obj(asset, source, format)
+    found += _few(word for word in asset.report.unread if word != ASCII or format == "ply")
+    if asset.textures and any(part.colors is not None for part in asset.parts):
+        found.append("vertex colours")
+    if format == "ply":
+        found += ["materials"] * (source is not None)
+        found += ["texture coordinates"] * any(part.uvs is not None for part in asset.parts)
+    return ", ".join(dict.fromkeys(found))
+
+
+def dangling(asset: Asset, format: str) -> str:
+    """The files which are not there and that the new file will name like the old one does."""
+    source = asset.container
+    if not is_kept(asset, format):
+        return ""
+    if isinstance(source, ObjSource):
+        return ", ".join(_few(name for name in names_beside(asset, source) if name not in source.maps))
+    if isinstance(source, Gltf):
+        painted = [m for m, paint in enumerate(asset.paints) if _is_image(asset, paint.texture)]
+        return ", ".join(_few(glb.missing_images(source, painted)))
+    return ""
+
+
+def is_kept(asset: Asset, format: str) -> bool:
+    """Whether the file goes out as it came in, but for its colours."""
+    kinds = {"glb": Gltf, "obj": ObjSource}
+    return format in kinds and isinstance(asset.container, kinds[format])
+
+
+def _is_image(asset: Asset, texture: int) -> bool:
+    return texture >= 0 and not asset.textures[texture].flat
+
+
+def _few(names: Iterable[str]) -> list[str]:
+    """The first names of one kind, and how many more; each in one line, whatever it is."""
+    words = list(dict.fromkeys(" ".join(name.split())[:80] for name in names))
+    return [*words[:MOST], f"{len(words) - MOST:,} more"] if len(words) > MOST + 1 else words
+
+
+def _counted(counts: Mapping[str, int]) -> list[str]:
+    return [f"{count:,} {what}{'s' * (count > 1)}" for what, count in counts.items() if count]
+
+
+def _of_obj(asset: Asset, source: ObjSource, format: str) -> list[str]:
+    """Maps first: they are what is missed most."""
+    see_through = {
+        asset.textures[p.texture].name for p in asset.paints if p.alpha_mode != "OPAQUE" and p.texture >= 0
+    }
+    found = _few(name for name in names_beside(asset, source) if name not in see_through)
+    tinted = any(_is_image(asset, p.texture) and p.color != (1.0, 1.0, 1.0) for p in asset.paints)
+    keys = [key for library in source.libraries.values() for key in properties(library)]
+    found += _few(["Kd"] * tinted + keys)
+    found += _few(asset.report.ignored_options)
+    counts = obj_source.structure(source)
+    if format == "glb" and counts["object"] == 1:  # it gives the mesh its name
+        counts["object"] = 0
+    return found + _counted(counts) + ["lines and points"] * obj_source.has_lines(source)
+
+
+def _of_gltf(asset: Asset, source: Gltf) -> list[str]:
+    document = source.document
+    materials = document.get("materials", [])
+    found = _few(glb.other_images(source)) + _few(_material_words(materials))
+    primitives = [p for mesh in document.get("meshes", []) for p in mesh.get("primitives", [])]
+    attributes = {key: None for p in primitives for key in p.get("attributes", {}) if key not in WRITTEN}
+    found += _few(attributes)
+    colors = [p["attributes"]["COLOR_0"] for p in primitives if "COLOR_0" in p.get("attributes", {})]
+    if not asset.textures and any(document["accessors"][i].get("type") == "VEC4" for i in colors):
+        found.append("vertex alpha")
+    found += ["lines and points"] * any(p.get("mode", gltf.TRIANGLES) < gltf.TRIANGLES for p in primitives)
+    found += ["morph targets"] * any("targets" in p for p in primitives)
+    found += [key for key in ("animations", "skins", "cameras") if document.get(key)]
+    found += _few(e for e in document.get("extensionsUsed", []) if e not in APPLIED)
+    found += [f"{len(document['nodes']):,} nodes"] * (len(document.get("nodes", [])) > 1)
+    found += ["copyright"] * ("copyright" in document.get("asset", {}))
+    found += ["extras"] * ('"extras": ' in json.dumps(document))
+    return found
+
+
+def _material_words(materials: list[dict]) -> list[str]:
+    """What materials say besides their base colour's image or flat colour."""
+    found = []
+    for material in materials:
+        pbr = material.get("pbrMetallicRoughness", {})
+        r, g, b, alpha = pbr.get("baseColorFactor", [1, 1, 1, 1])
+        if alpha != 1 or (gltf.base_slot(material) and (r, g, b) != (1, 1, 1)):
+            found.append("baseColorFactor")
+        if material.get("alphaMode", "OPAQUE") != "OPAQUE":
+            found.append("alphaMode")
+        found += [key for key, usual in USUAL.items() if pbr.get(key, usual) != usual]
+        found += ["emissiveFactor"] * (material.get("emissiveFactor", [0, 0, 0]) != [0, 0, 0])
+    return found

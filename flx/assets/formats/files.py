@@ -1,0 +1,139 @@
+"""Where files are opened, regular ones of bounded size, and written, each whole or not at all.
+
+A mesh file is a stranger's. It must not read its user's other files, reach the network, block on a pipe or
+take more memory than its own size explains. The limits are generous; each can be raised by an environment
+variable, which the error names.
+"""
+
+import os
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Num
+
+LIMITS = {
+    "FLX_MAX_BYTES": 1 << 29,  # of one file
+    "FLX_MAX_PIXELS": 8192 * 8192,  # of one image; four times as many in all
+    "FLX_MAX_FACES": 1 << 22,  # of a mesh, its instances counted
+}
+
+
+class BadFile(ValueError):
+    """A fault of the file that is known by name: its message says what to do about it."""
+
+
+def limit(name: str) -> int:
+    """The limit of that name: the environment's, or the one above.
+
+    Raises ValueError where the environment's is no whole number.
+    """
+    value = os.environ.get(name, "")
+    if value and not value.isdecimal():
+        raise ValueError(f"{name} is {value!r}; set it to a whole number, or unset it")
+    return int(value) if value else LIMITS[name]
+
+
+def inside(folder: Path, name: str) -> Path:
+    """A file that another file names, which must lie in the same folder or below it, links followed.
+
+    Raises BadFile for a URL and for a name that leads out of the folder.
+    """
+    if "://" in name:
+        raise BadFile(f"{name[:80]!r} is a URL, and nothing is fetched; put the file beside the mesh")
+    try:
+        path = (folder / name.replace("\\", "/")).resolve()
+    except (RuntimeError, ValueError) as fault:  # a link to itself, a NUL
+        raise BadFile(f"{name[:80]!r} leads nowhere ({fault}); put the file beside the mesh") from fault
+    if not path.is_relative_to(folder.resolve()):
+        raise BadFile(f"{quoted(name)} lies outside {folder}; copy it there, and name it without its folder")
+    return path
+
+
+def quoted(name: str) -> str:
+    """A name as it stands in a file, on one line: what does not print is escaped, a backslash is one."""
+    return repr(name[:120]).replace("\\\\", "\\")
+
+
+def is_absolute(name: str) -> bool:
+    """Whether a name is a path from the root of some machine, this one or another."""
+    return re.match(r"[A-Za-z]:|[/\\]", name) is not None
+
+
+def is_there(folder: Path, name: str) -> bool:
+    """Whether a file that another file names can be opened from that one's folder."""
+    try:
+        return inside(folder, name).is_file()
+    except (BadFile, OSError):
+        return False
+
+
+def found_beside(folder: Path, name: str) -> str:
+    """The one file in the folder that a name means which leads to none; "" where there is none, or two.
+
+    Of an absolute path, another machine's, the file's name counts; of a relative one all of it. Neither minds
+    capitals, as Windows and macOS do not. Nothing outside of the folder is looked at.
+    """
+    words = re.split(r"[/\\]", name)
+    found: list[str] = []
+    for word in [words[-1]] if is_absolute(name) else [w for w in words if w not in ("", ".")]:
+        try:
+            entries = os.listdir(inside(folder, "/".join(found)))
+        except (BadFile, OSError):
+            return ""
+        alike = [entry for entry in entries if entry.casefold() == word.casefold()]
+        if len(alike) != 1:
+            return ""
+        found += alike
+    return "/".join(found) if found and is_there(folder, "/".join(found)) else ""
+
+
+def told_apart(names: tuple[str, str]) -> str:
+    """A name in a file, and the file that was taken for it."""
+    return f"{quoted(names[0])} → {names[1]}"
+
+
+def read_file(path: Path) -> bytes:
+    """All bytes of a regular file.
+
+    Raises FileNotFoundError, or BadFile for a folder, a pipe, a device, and more than `FLX_MAX_BYTES`.
+    """
+    try:
+        size = path.stat().st_size
+    except NotADirectoryError as fault:  # a.png/b.png
+        raise FileNotFoundError(fault.errno, fault.strerror, str(path)) from fault
+    if not path.is_file():
+        raise BadFile(f"{path} is not a file; name one, or copy it there")
+    if size > (most := limit("FLX_MAX_BYTES")):
+        raise BadFile(
+            f"{path} has {size:,} bytes, more than {most:,}; reduce it, or set FLX_MAX_BYTES={size}"
+        )
+    with open(path, "rb") as file:
+        return file.read(size)
+
+
+def check_faces(count: int) -> None:
+    """Raises BadFile for more faces than `FLX_MAX_FACES`, before anything of their size is made."""
+    if count > (most := limit("FLX_MAX_FACES")):
+        raise BadFile(f"{count:,} faces, more than {most:,}; decimate it, or set FLX_MAX_FACES={count}")
+
+
+def numbers(text: str, dtype: type = np.float64) -> Num[Any, "N"]:
+    """The numbers of a text, separated by white space. Raises BadFile where something else stands there."""
+    words = text.split()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)  # older NumPy warns, and leaves the rest out
+        try:
+            values = np.fromstring(text, dtype, sep=" ")
+            if len(values) == len(words):  # "- 1" is one number to NumPy
+                return values
+        except (ValueError, DeprecationWarning):
+            pass
+    for word in words:
+        try:
+            dtype(word)
+        except (ValueError, OverflowError):
+            raise BadFile(f"{word[:40]!r} is no number here; export it again") from None
+    raise BadFile("a number is broken; export it again")

@@ -1,0 +1,233 @@
+"""GLB files written: a glTF that was read, with its base colour replaced; or a new one from triangles.
+
+A file that was read is patched, never rebuilt: accessors, other maps, names, extras and transforms keep their
+index and their bytes. Every file is self-contained.
+"""
+
+import json
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Num
+
+from flx.assets.formats.gltf import WIDTHS, Gltf, accessor, append, append_view, base_slot, texture_image
+from flx.assets.formats.parts import Paint, Part
+from flx.geometry.color import linear
+
+FLOAT, UNSIGNED = 5126, 5125
+
+
+def replace_base_color(gltf: Gltf, textures: Mapping[int, int], pngs: Mapping[int, bytes]) -> Gltf:
+    """The same file with other base colour images: material m shows `pngs[textures[m]]`.
+
+    An image that only base colours show is replaced where it stands. One that another slot shows too
+    (occlusion, emission) stays, and the material is given a new image and texture; so is a material that has
+    none, and a primitive without a material (key `len(materials)`). All else keeps its place and its bytes.
+    """
+    document, views = _copy(gltf.document), list(gltf.views)
+    materials = document.setdefault("materials", [])
+    if len(materials) in textures:
+        _give_default_material(document)
+    slots = [base_slot(material) for material in materials]
+    shared = _images_of_other_slots(document, slots)
+    new: dict[int, int] = {}
+    for material, number in textures.items():
+        slot, png = slots[material], pngs[number]
+        texture = slot.get("index", -1)
+        image = texture_image(document, texture) if texture >= 0 else -1
+        if image in shared or image < 0:
+            if number not in new:
+                name = document["images"][image].get("name", "base color") if image >= 0 else "base color"
+                new[number] = append(document, "images", {"name": name})
+                _put_image(document, views, new[number], png)
+            texture = append(
+                document, "textures", dict(document["textures"][texture]) if texture >= 0 else {}
+            )
+            image = new[number]
+            if not slot:
+                slot = materials[material].setdefault("pbrMetallicRoughness", {})
+                slot = slot.setdefault("baseColorTexture", {})
+            slot["index"] = texture
+        else:
+            _put_image(document, views, image, png)
+        _show(document, texture, image)
+    return Gltf(document, tuple(views))
+
+
+def replace_colors(gltf: Gltf, colors: Mapping[tuple[int, int], Float32[Any, "_ 3"]]) -> Gltf:
+    """The same file with other vertex colours (sRGB): {(node, primitive): colours}; their alpha is kept.
+
+    A mesh that several nodes show is written once for each of them, since each has colours of its own.
+    """
+    document, views = _copy(gltf.document), list(gltf.views)
+    mesh_of, taken = {}, set()
+    for (node, number), color in colors.items():
+        if node not in mesh_of:
+            mesh = document["nodes"][node]["mesh"]
+            if mesh in taken:
+                mesh = append(document, "meshes", _copy(gltf.document["meshes"][mesh]))
+                document["nodes"][node]["mesh"] = mesh
+            taken.add(mesh)
+            mesh_of[node] = mesh
+        attributes = document["meshes"][mesh_of[node]]["primitives"][number]["attributes"]
+        rows = linear(color).astype(np.float32)
+        old = accessor(gltf, attributes["COLOR_0"]) if "COLOR_0" in attributes else rows
+        if old.shape[1] == 4:
+            alpha = old[:, 3:] / (1 if old.dtype.kind == "f" else np.iinfo(old.dtype).max)
+            rows = np.concatenate([rows, alpha.astype(np.float32)], 1)
+        attributes["COLOR_0"] = _append_rows(document, views, rows)
+    return Gltf(document, tuple(views))
+
+
+def _copy(document: dict) -> dict:
+    return json.loads(json.dumps(document))
+
+
+def _append_rows(document: dict, views: list[bytes], rows: Num[Any, "N C"]) -> int:
+    """An accessor over float32 rows or uint32 scalars, with the bounds that positions must have."""
+    component = FLOAT if rows.dtype == np.float32 else UNSIGNED
+    kind = {width: name for name, width in WIDTHS.items()}[rows.shape[1]]
+    entry = {"bufferView": append_view(document, views, rows.tobytes()), "componentType": component}
+    entry |= {"count": len(rows), "type": kind, "min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
+    return append(document, "accessors", entry)
+
+
+def _give_default_material(document: dict) -> None:
+    """Names the specification's default material, for the primitives that have none."""
+    material = append(document, "materials", {"name": "default"})
+    for mesh in document["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive.setdefault("material", material)
+
+
+def _images_of_other_slots(document: dict, slots: Sequence[dict]) -> set[int]:
+    """The images that something else than a base colour shows: their pixels must stay."""
+    base, found = {id(slot) for slot in slots}, set()
+
+    def visit(value: Any, key: str = "") -> None:
+        if isinstance(value, dict):
+            if key.endswith("Texture") and id(value) not in base and "index" in value:
+                found.add(texture_image(document, value["index"]))
+            for name, child in value.items():
+                visit(child, name)
+        elif isinstance(value, list):
+            for child in value:
+                visit(child)
+
+    visit(document.get("materials", []))
+    return found
+
+
+def other_images(gltf: Gltf) -> list[str]:
+    """The images that a file shows besides base colours, by name."""
+    document = gltf.document
+    slots = [base_slot(material) for material in document.get("materials", [])]
+    images = document.get("images", [])
+    others = sorted(i for i in _images_of_other_slots(document, slots) if i >= 0)
+    return [str(images[i].get("name") or images[i].get("uri") or f"image {i}") for i in others]
+
+
+def missing_images(gltf: Gltf, painted: Iterable[int]) -> list[str]:
+    """The files of images that are not there, less those that new base colours of some materials replace."""
+    document = gltf.document
+    materials, images = document.get("materials", []), document.get("images", [])
+    slots = [base_slot(material) for material in materials]
+    new = {
+        texture_image(document, slots[m]["index"]) for m in painted if m < len(slots) and "index" in slots[m]
+    } - _images_of_other_slots(document, slots)
+    return [
+        str(image.get("uri", "an image without data"))
+        for i, image in enumerate(images)
+        if "bufferView" not in image and i not in new
+    ]
+
+
+def _put_image(document: dict, views: list[bytes], image: int, png: bytes) -> None:
+    """The PNG in the image's place; its buffer view is reused where nobody else reads it."""
+    entry = document["images"][image]
+    readers = [other.get("bufferView") for other in document["images"]]
+    readers += [other.get("bufferView") for other in document.get("accessors", [])]
+    if readers.count(entry.get("bufferView")) == 1 and "bufferView" in entry:
+        views[entry["bufferView"]] = png
+    else:
+        entry["bufferView"] = append_view(document, views, png)
+    entry.pop("uri", None)
+    entry["mimeType"] = "image/png"
+
+
+def _show(document: dict, texture: int, image: int) -> None:
+    """The texture shows the image, in the one format that every reader knows."""
+    entry = document["textures"][texture]
+    entry["source"] = image
+    others = entry.get("extensions", {})
+    kept = {k: v for k, v in others.items() if k not in ("EXT_texture_webp", "KHR_texture_basisu")}
+    entry.pop("extensions", None)
+    if kept:
+        entry["extensions"] = kept
+
+
+def build_gltf(
+    name: str,
+    parts: Sequence[Part],
+    paints: Sequence[Paint],
+    pngs: Mapping[int, bytes],
+    colors: Sequence[Float32[Any, "_ 3"]] | None = None,
+) -> Gltf:
+    """A new file for triangles that came from another format: one mesh, a primitive for each part.
+
+    `pngs` holds the images of `Paint.texture`; `colors` are sRGB, one array for each part. Scans carry their
+    light in the texture: not metallic, fully rough. OBJ and PLY know no culling: double sided. A material
+    that no part has is left out.
+    """
+    document: dict = {"asset": {"version": "2.0", "generator": "flx"}, "scene": 0, "scenes": [{"nodes": [0]}]}
+    views: list[bytes] = []
+    document |= {"nodes": [{"mesh": 0, "name": name}], "meshes": [{"name": name, "primitives": []}]}
+    images = {}
+    for texture, png in pngs.items():
+        images[texture] = append(document, "textures", {"source": len(images)})
+        append(document, "images", {"name": f"base color {texture}"})
+        _put_image(document, views, images[texture], png)
+    number_of: dict[int, int] = {}
+    for number in sorted({part.material for part in parts}):
+        paint = paints[number]
+        pbr: dict = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        color = [1.0, 1.0, 1.0]
+        if paint.texture in images:
+            pbr["baseColorTexture"] = {"index": images[paint.texture]}
+        elif colors is None:
+            color = linear(np.array(paint.color)).tolist()
+        if [*color, paint.opacity] != [1.0] * 4:
+            pbr["baseColorFactor"] = [*color, paint.opacity]
+        material = {"name": paint.name, "pbrMetallicRoughness": pbr, "doubleSided": True}
+        if paint.alpha_mode != "OPAQUE":
+            material["alphaMode"] = paint.alpha_mode
+        number_of[number] = append(document, "materials", material)
+    for i, part in enumerate(parts):
+        rows = {"POSITION": part.positions, "NORMAL": part.normals, "TEXCOORD_0": part.uvs}
+        rows["COLOR_0"] = None if colors is None else linear(colors[i])
+        attributes = {
+            key: _append_rows(document, views, np.ascontiguousarray(value, np.float32))
+            for key, value in rows.items()
+            if value is not None
+        }
+        indices = _append_rows(document, views, part.faces.reshape(-1, 1).astype(np.uint32))
+        primitive = {"attributes": attributes, "indices": indices, "material": number_of[part.material]}
+        document["meshes"][0]["primitives"].append(primitive)
+    return Gltf(document, tuple(views))
+
+
+def glb_bytes(gltf: Gltf) -> bytes:
+    """One GLB: the views one after the other, each at a multiple of four bytes as accessors ask."""
+    document, binary = _copy(gltf.document), bytearray()
+    for entry, view in zip(document.get("bufferViews", []), gltf.views, strict=True):
+        entry |= {"buffer": 0, "byteOffset": len(binary), "byteLength": len(view)}
+        binary += view + bytes(-len(view) % 4)
+    document["buffers"] = [{"byteLength": len(binary)}]
+    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = (
+        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    )
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

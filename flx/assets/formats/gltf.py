@@ -1,0 +1,374 @@
+"""The glTF 2.0 container, read whole: its document, its bytes, its triangles.
+
+`Gltf` holds the JSON document as it was read and the bytes of every buffer view; external and `data:` buffers
+and images are taken in, so that it can always be written as one self-contained file. Nothing is interpreted
+that need not be: what this project does not know (extras, extensions, animations) passes through untouched.
+
+Our own reader, not trimesh's, for three reasons: a material must be known by its index to be patched,
+texture coordinates must be the file's own bits (trimesh's flip rounds them), and `texCoord` sets,
+KHR_texture_transform and normalised integers are ignored there. COLOR_0 is linear light in the file
+(glTF 2.0, section 3.7.2.1), sRGB here. `flx.assets.formats.glb` patches and writes.
+"""
+
+import base64
+import errno
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote, unquote, unquote_to_bytes
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int, Num
+
+from flx.assets.formats.files import (
+    BadFile,
+    check_faces,
+    found_beside,
+    inside,
+    is_there,
+    read_file,
+    told_apart,
+)
+from flx.assets.formats.parts import Part
+from flx.assets.formats.schema import check_document
+from flx.geometry.color import srgb
+
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+MIME_TYPES = {
+    b"\x89PN": "image/png",
+    b"\xff\xd8\xff": "image/jpeg",
+    b"RIF": "image/webp",
+    b"\xabKT": "image/ktx2",
+}
+TRIANGLES, STRIP, FAN = 4, 5, 6
+MOST_VALUES = 1 << 22  # of the JSON: an empty list of three bytes becomes a hundred
+MOST_PARTS = 1 << 14
+
+
+class Gltf(NamedTuple):
+    """A glTF file with all its bytes at hand; `document["bufferViews"][i]` describes `views[i]`."""
+
+    document: dict
+    views: tuple[bytes, ...]
+    found: tuple[str, ...] = ()  # images that were read under another name than the file's
+
+
+# ---------------------------------------------------------------------------------------------- reading
+
+
+def read_gltf(path: Path) -> Gltf:
+    """GLB or glTF, told apart by their first bytes. Images that cannot be found keep their `uri`.
+
+    Raises BadFile for compressed geometry, a broken or missing buffer, and whatever `check_document` finds.
+    """
+    data = read_file(path)
+    text, chunk = _chunks(data) if data[:4] == b"glTF" else (data, b"")
+    if (values := sum(text.count(mark) for mark in (b",", b"[", b"{"))) > MOST_VALUES:
+        raise BadFile(f"its JSON has {values:,} values, more than {MOST_VALUES:,}; export it without extras")
+    try:
+        document = json.loads(text.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as fault:
+        raise BadFile(f"its JSON is broken ({str(fault)[:80]}); export it again") from fault
+    check_document(document)
+    try:
+        buffers = [_buffer(i, b, chunk, path.parent) for i, b in enumerate(document.get("buffers", []))]
+        views = [_view(i, v, buffers) for i, v in enumerate(document.get("bufferViews", []))]
+    except KeyError as fault:
+        raise BadFile(f"a buffer or buffer view has no {fault}; export it again") from fault
+    found = []
+    for image in document.get("images", []):
+        if "uri" not in image:
+            continue
+        name = unquote(image["uri"])
+        other = "" if _is_at_hand(path.parent, image["uri"]) else found_beside(path.parent, name)
+        found += [told_apart((name, other))] if other else []
+        try:
+            content = _resource(quote(other) or image["uri"], path.parent)
+        except FileNotFoundError:
+            continue
+        image["mimeType"] = MIME_TYPES.get(content[:3], image.get("mimeType", "image/png"))
+        image["bufferView"] = append_view(document, views, content)
+        del image["uri"]
+    return Gltf(document, tuple(views), tuple(found))
+
+
+def _chunks(data: bytes) -> tuple[bytes, bytes]:
+    """The JSON and the binary chunk of a GLB."""
+    version, total = struct.unpack_from("<II", data, 4) if len(data) >= 12 else (0, 12)
+    if version != 2 or not 12 <= total <= len(data):
+        raise BadFile(f"GLB version {version}, {len(data)} of {total} bytes; export it again as glTF 2.0")
+    chunks, at = {}, 12
+    while at + 8 <= total:
+        length, kind = struct.unpack_from("<I4s", data, at)
+        if at + 8 + length > total:
+            raise BadFile(f"a chunk of {length:,} bytes ends past the file; export it again")
+        chunks.setdefault(kind, data[at + 8 : at + 8 + length])
+        at += 8 + length
+    if b"JSON" not in chunks:
+        raise BadFile("a GLB without a JSON chunk; export it again")
+    return chunks[b"JSON"], chunks.get(b"BIN\0", b"")
+
+
+def _buffer(index: int, buffer: dict, chunk: bytes, folder: Path) -> bytes:
+    content = _resource(buffer["uri"], folder) if "uri" in buffer else chunk
+    if len(content) < buffer["byteLength"]:
+        raise BadFile(
+            f"buffer {index} has {len(content):,} bytes of {buffer['byteLength']:,}; export it again"
+        )
+    return content
+
+
+def _view(index: int, view: dict, buffers: list[bytes]) -> bytes:
+    start, length = view.get("byteOffset", 0), view["byteLength"]
+    if start + length > len(buffers[view["buffer"]]):
+        raise BadFile(f"buffer view {index} ends past its buffer; export it again")
+    return buffers[view["buffer"]][start : start + length]
+
+
+def _is_at_hand(folder: Path, uri: str) -> bool:
+    return uri.startswith("data:") or is_there(folder, unquote(uri))
+
+
+def _resource(uri: str, folder: Path) -> bytes:
+    """The bytes behind a URI: `data:`, or a file in the folder of the asset. Never the network."""
+    if not uri.startswith("data:"):
+        return read_file(inside(folder, unquote(uri)))
+    head, _, body = uri.partition(",")
+    try:
+        return base64.b64decode(body, validate=True) if head.endswith(";base64") else unquote_to_bytes(body)
+    except ValueError as fault:
+        raise BadFile(f"the data URI {uri[:40]!r} is broken ({fault}); export it again") from fault
+
+
+def append(document: dict, key: str, entry: dict) -> int:
+    """Adds an entry to one of the document's lists and returns its index."""
+    document.setdefault(key, []).append(entry)
+    return len(document[key]) - 1
+
+
+def append_view(document: dict, views: list[bytes], content: bytes) -> int:
+    """Adds a buffer view; where it lies in the buffer is settled when the file is written."""
+    views.append(content)
+    return append(document, "bufferViews", {"buffer": 0, "byteLength": len(content)})
+
+
+def accessor(gltf: Gltf, index: int) -> Num[Any, "N C"]:
+    """The rows of an accessor in their own dtype, sparse ones filled in; normalised integers as float32.
+
+    Raises BadFile where it has no data, or more rows than bytes are there for.
+    """
+    entry = gltf.document["accessors"][index]
+    if not {"type", "count", "componentType"} <= entry.keys() or entry["type"] not in WIDTHS:
+        raise BadFile(f"accessor {index} holds {entry.get('type')!r} rows; export it again")
+    width, count, sparse = WIDTHS[entry["type"]], entry["count"], entry.get("sparse")
+    if "bufferView" in entry:
+        rows = _rows(gltf, entry, entry["componentType"], width, count)
+    elif sparse and count <= sum(map(len, gltf.views)):
+        rows = np.zeros((count, width), COMPONENTS[entry["componentType"]])
+    else:
+        raise BadFile(f"accessor {index} has no data; save the file without compression")
+    if sparse:
+        if not {"count", "indices", "values"} <= sparse.keys():
+            raise BadFile(f"accessor {index} is sparse without data; export it again")
+        where = _rows(
+            gltf, sparse["indices"], sparse["indices"].get("componentType", 5125), 1, sparse["count"]
+        )
+        if where.max() >= count:
+            raise BadFile(f"accessor {index} fills row {where.max()} of {count}; export it again")
+        rows[where[:, 0]] = _rows(gltf, sparse["values"], entry["componentType"], width, sparse["count"])
+    if entry.get("normalized") is True and rows.dtype.kind in "iu":
+        rows = np.maximum(rows / np.float32(np.iinfo(rows.dtype).max), -1).astype(np.float32)
+    return rows
+
+
+def _rows(gltf: Gltf, entry: dict, component: int, width: int, count: int) -> Num[Any, "N C"]:
+    dtype, view, start = np.dtype(COMPONENTS[component]), entry.get("bufferView"), entry.get("byteOffset", 0)
+    if view is None:
+        raise BadFile("sparse rows have no buffer view; export the file again")
+    size = dtype.itemsize * width
+    stride = gltf.document["bufferViews"][view].get("byteStride", size)
+    if count < 1 or stride < size or start + (count - 1) * stride + size > len(gltf.views[view]):
+        raise BadFile(f"{count} rows do not fit into buffer view {view}; export the file again")
+    return np.ndarray((count, width), dtype, gltf.views[view], start, (stride, dtype.itemsize)).copy()
+
+
+def scene_nodes(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"]]]:
+    """Every node of the default scene, once, with its transform to the scene."""
+    nodes, seen = document.get("nodes", []), set()
+    children = {child for node in nodes for child in node.get("children", [])}
+    scenes = document.get("scenes") or [{"nodes": [i for i in range(len(nodes)) if i not in children]}]
+    stack = [(i, np.eye(4)) for i in reversed(scenes[document.get("scene", 0)].get("nodes", []))]
+    while stack:
+        index, parent = stack.pop()
+        if index in seen:
+            raise BadFile(f"the scene shows node {index} twice; export it again")
+        seen.add(index)
+        world = parent @ _local_transform(nodes[index])
+        yield index, world
+        stack.extend((child, world) for child in reversed(nodes[index].get("children", [])))
+
+
+def _local_transform(node: dict) -> Float64[Any, "4 4"]:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = np.array(node.get("rotation", [0, 0, 0, 1]), np.float64)
+    transform = np.eye(4)
+    transform[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    transform[:3, :3] *= np.array(node.get("scale", [1, 1, 1]), np.float64)
+    transform[:3, 3] = node.get("translation", [0, 0, 0])
+    return transform
+
+
+def parts(gltf: Gltf) -> list[Part]:
+    """Every triangle primitive of the default scene, in the scene's frame.
+
+    A primitive without a material gets index `len(materials)`, the specification's default. A transform that
+    mirrors turns the faces round, so that they stay counter-clockwise. Skins and morph targets rest.
+    """
+    document, found = gltf.document, []
+    materials, read = document.get("materials", []), 0
+    for node, world, number, primitive in _triangles(document):
+        if len(found) == MOST_PARTS:
+            raise BadFile(f"more than {MOST_PARTS:,} parts; join some")
+        mesh = document["nodes"][node]["mesh"]
+        attributes = primitive["attributes"]
+        points = _attribute(gltf, attributes, "POSITION", (3,)).astype(np.float64)
+        faces = _faces(gltf, primitive, len(points))
+        material = primitive.get("material", len(materials))
+        slot = base_slot(materials[material]) if "material" in primitive else {}
+        with np.errstate(all="ignore"):  # what is not finite is refused by name, later
+            points = points @ world[:3, :3].T + world[:3, 3]
+            mirrored = np.linalg.det(world[:3, :3]) < 0
+        part = Part(
+            name=document["meshes"][mesh].get("name", f"mesh {mesh}"),
+            material=material,
+            positions=points,
+            normals=_normals(gltf, attributes, world[:3, :3]),
+            uvs=_uvs(gltf, attributes, slot),
+            colors=_colors(gltf, attributes),
+            faces=faces[:, ::-1].copy() if mirrored else faces,
+            origin=(node, number),
+        )
+        for rows, what in (
+            (part.normals, "normals"),
+            (part.uvs, "texture coordinates"),
+            (part.colors, "colours"),
+        ):
+            if rows is not None and len(rows) != len(points):
+                raise BadFile(
+                    f"{part.name!r} has {len(rows)} {what} for {len(points)} vertices; export it again"
+                )
+        found.append(part)
+        read += max(len(faces), len(points) // 3)
+        check_faces(read)  # a small file can show one mesh very often
+    return found
+
+
+def _triangles(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"], int, dict]]:
+    """Node, its transform, number and entry of every primitive of triangles that the scene shows."""
+    for node, world in scene_nodes(document):
+        if "mesh" not in document["nodes"][node]:
+            continue
+        for number, primitive in enumerate(
+            document["meshes"][document["nodes"][node]["mesh"]].get("primitives", [])
+        ):
+            if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
+                continue
+            if "POSITION" not in primitive.get("attributes", {}):
+                raise BadFile(f"primitive {number} of node {node} has no POSITION; export it again")
+            yield node, world, number, primitive
+
+
+def _attribute(gltf: Gltf, attributes: dict, name: str, widths: tuple[int, ...]) -> Num[Any, "N C"]:
+    rows = accessor(gltf, attributes[name])
+    if rows.shape[1] not in widths:
+        raise BadFile(f"{name} has {rows.shape[1]} numbers a vertex, not {widths[0]}; export it again")
+    return rows
+
+
+def _faces(gltf: Gltf, primitive: dict, points: int) -> Int[Any, "F 3"]:
+    mode = primitive.get("mode", TRIANGLES)
+    if "indices" in primitive:
+        rows = _attribute(gltf, primitive, "indices", (1,))
+        if rows.dtype.kind != "u":
+            raise BadFile(f"indices are {rows.dtype}, not whole numbers; export it again")
+        order = rows[:, 0].astype(np.int64)
+    else:
+        order = np.arange(points)
+    if len(order) < 3 or (mode == TRIANGLES and len(order) % 3):
+        raise BadFile(f"{len(order)} indices make no triangles; export it again")
+    if mode == TRIANGLES:
+        return order.reshape(-1, 3)
+    if mode == FAN:
+        return np.stack([np.full(len(order) - 2, order[0]), order[1:-1], order[2:]], 1)
+    strip = np.stack([order[:-2], order[1:-1], order[2:]], 1)
+    strip[1::2, :2] = strip[1::2, 1::-1]
+    return strip
+
+
+def _normals(gltf: Gltf, attributes: dict, world: Float64[Any, "3 3"]) -> Float64[Any, "V 3"] | None:
+    """Unit normals under the inverse transpose of a transform; 0 for what has no direction.
+
+    By cofactors, which are det times that: a transform that flattens has them, too.
+    """
+    if "NORMAL" not in attributes:
+        return None
+    x, y, z = world.T
+    with np.errstate(all="ignore"):
+        turned = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
+        turned = turned / np.abs(turned).max() * (-1 if np.linalg.det(world) < 0 else 1)
+        normals = _attribute(gltf, attributes, "NORMAL", (3,)).astype(np.float64) @ turned
+        return np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True), posinf=0, neginf=0)
+
+
+def _uvs(gltf: Gltf, attributes: dict, slot: dict) -> Float64[Any, "V 2"] | None:
+    """The coordinates the base colour texture is read at: its own set, under KHR_texture_transform."""
+    transform = slot.get("extensions", {}).get("KHR_texture_transform", {})
+    name = f"TEXCOORD_{transform.get('texCoord', slot.get('texCoord', 0))}"
+    if name not in attributes:
+        return None
+    u, v = (_attribute(gltf, attributes, name, (2,)).astype(np.float64) * transform.get("scale", [1, 1])).T
+    c, s = np.cos(transform.get("rotation", 0)), np.sin(transform.get("rotation", 0))
+    return np.stack([c * u + s * v, c * v - s * u], 1) + transform.get("offset", [0, 0])
+
+
+def _colors(gltf: Gltf, attributes: dict) -> Float32[Any, "V 3"] | None:
+    if "COLOR_0" not in attributes:
+        return None
+    return srgb(_attribute(gltf, attributes, "COLOR_0", (3, 4))[:, :3]).astype(np.float32)
+
+
+def base_slot(material: dict) -> dict:
+    """The texture reference of a material's base colour; empty where it has none."""
+    gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+    return (
+        material.get("pbrMetallicRoughness", {}).get("baseColorTexture") or gloss.get("diffuseTexture") or {}
+    )
+
+
+def base_color(material: dict) -> tuple[float, float, float]:
+    """The flat colour of a material, in sRGB."""
+    r, g, b = srgb(np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1])[:3]))
+    return float(r), float(g), float(b)
+
+
+def texture_image(document: dict, texture: int) -> int:
+    """The image a texture shows: of EXT_texture_webp, else its source; −1 without either."""
+    entry = document["textures"][texture]
+    webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
+    return webp.get("source", entry.get("source", -1))
+
+
+def image_bytes(gltf: Gltf, image: int) -> bytes:
+    """The encoded image. Raises FileNotFoundError naming the file where it was not found."""
+    entry = gltf.document["images"][image]
+    if "bufferView" not in entry:
+        raise FileNotFoundError(errno.ENOENT, "not found", entry.get("uri", "an image without data"))
+    return bytes(gltf.views[entry["bufferView"]])

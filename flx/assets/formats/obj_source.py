@@ -1,0 +1,310 @@
+"""An OBJ with the files around it, kept to go out again as it came in: other colours, and nothing else.
+
+Quads, groups, smoothing, comments and the order of rows never pass through triangles: the text is the one
+that was read, held as bytes (80 MB for a million faces, about what its arrays take), so that a file that
+changes on disk meanwhile cannot be mixed with geometry read before. Maps are read again when they are copied.
+
+What is copied beside an OBJ is in the folder of the asset or below it, a regular file, and called like an
+image: a stranger's MTL must neither fetch a user's files nor plant a script where he writes his results.
+"""
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int
+
+from flx.assets.formats.files import BadFile, found_beside, inside, is_there, limit, read_file
+from flx.assets.formats.mtl import (
+    edited,
+    files_named,
+    line_end,
+    material_name,
+    renamed,
+    repainted,
+    statements,
+)
+from flx.assets.formats.obj import color_scale
+from flx.files import write_atomically
+from flx.geometry.color import quantized
+
+# What other programs read as a map; flx itself reads fewer kinds.
+SUFFIXES = (".png", ".jpg", ".jpeg", ".jp2", ".webp", ".bmp", ".tga", ".tif", ".tiff")
+SUFFIXES += (".gif", ".psd", ".exr", ".hdr", ".dds", ".ktx", ".ktx2")
+
+# A statement goes on in the next line after a backslash; lines end as on any system.
+BOM = b"\xef\xbb\xbf"
+NEXT_LINE = rb"\\(?:\r\n|\r|\n)"
+GAP = rb"(?:[ \t\v\f]|" + NEXT_LINE + rb")"
+START = rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n])(?<!\\\r)(?<!\\\n)(?<!\\\r\n))" + GAP + rb"*+"
+REST = GAP + rb"*+(?P<value>(?:" + NEXT_LINE + rb"|[^\r\n])*+)"
+CONTINUED = (b"\\\n", b"\\\r", b"\\\r\n")
+LIBRARY = re.compile(rb"mtllib(?=[\s\\]|\Z)" + REST)
+USE = re.compile(rb"usemtl(?=[\s\\]|\Z)" + REST)
+OBJECT = re.compile(rb"o(?=[\s\\])" + REST)
+STRUCTURE = re.compile(rb"(?P<key>[ogs])(?=[\s\\])" + REST)
+LINE = re.compile(rb"[lp](?=[\s\\])")
+FACE = re.compile(rb"f(?=[\s\\])")
+NUMBER = GAP + rb"++([^\s\\#]++)"
+COLORED = re.compile(START + rb"v" + 6 * NUMBER)  # groups 4 to 6 are the colour
+
+
+class ObjSource(NamedTuple):
+    """The files of an OBJ, as they were read."""
+
+    folder: Path
+    text: bytes
+    libraries: dict[str, bytes]  # MTL files that are there, by name; absolute paths in them made relative
+    maps: dict[str, str]  # files that these name and that are there: the name in the MTL, and in the folder
+    rows: Int[Any, "V"]  # the v of each vertex of the asset's parts in turn
+    colors: Float64[Any, "P 3"] | None  # of every v, as the file counts them
+
+
+def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[str], dict[str, str]]:
+    """The MTL files that an OBJ names, the names of those that are not there, and the images found under
+    another name than theirs.
+
+    Raises BadFile for one outside of the folder, and for more than `FLX_MAX_BYTES` in all.
+    """
+    libraries: dict[str, bytes] = {}
+    others: dict[str, str] = {}
+    missing, size = [], 0
+    named = (_names(folder, found["value"]) for found in _statements(LIBRARY, text))
+    for name in dict.fromkeys(name for names in named for name in names):
+        try:
+            content = read_file(inside(folder, name))
+        except FileNotFoundError:
+            missing.append(name)
+            continue
+        if (size := size + len(content)) > (most := limit("FLX_MAX_BYTES")):
+            raise BadFile(f"its MTL files have more than {most:,} bytes; reduce them, or set FLX_MAX_BYTES")
+        own = {n: _relative(folder, n) for n in files_named(content)}
+        libraries[name], others = renamed(content, own), others | own
+    return libraries, missing, {n: o for n, o in others.items() if n != o and not is_there(folder, n)}
+
+
+def _statements(pattern: re.Pattern[bytes], text: bytes) -> Iterator[re.Match[bytes]]:
+    """Where a pattern begins a statement. Words are found ten times faster than beginnings of lines."""
+    for found in pattern.finditer(text):
+        at = found.start()
+        while at and text[at - 1] in b" \t\v\f":
+            at -= 1
+        before = text[max(at - 3, 0) : at]
+        ended = before.endswith((b"\n", b"\r")) and not before.endswith(CONTINUED)
+        if ended or at == 0 or (at == 3 and before == BOM):
+            yield found
+
+
+def _names(folder: Path, value: bytes) -> list[str]:
+    """The files of one mtllib: a name that may hold spaces, or several that each end in .mtl."""
+    whole = re.sub(NEXT_LINE, b" ", value).decode(errors="replace").strip()
+    if not whole:
+        return []
+    several = re.split(r"(?<=\.mtl)\s+", whole, flags=re.IGNORECASE)
+    return several if len(several) > 1 and not inside(folder, whole).exists() else [whole]
+
+
+def _relative(folder: Path, name: str) -> str:
+    """A name that comes into the folder from outside becomes relative, for the file goes along; and one that
+    leads nowhere becomes that of the image which it means."""
+    if not is_there(folder, name) and (found := found_beside(folder, name)).lower().endswith(SUFFIXES):
+        return found
+    try:
+        own = _own_name(folder, name)
+    except BadFile:
+        return name
+    return name if own == _plain(name) else own
+
+
+def _own_name(folder: Path, name: str) -> str:
+    """The name of a file in its asset's folder, relative to it.
+
+    Raises BadFile where it leads out of the folder, as `inside` does.
+    """
+    path, plain = inside(folder, name), _plain(name)
+    if os.path.isabs(plain) or plain.split("/")[0] == "..":
+        return path.relative_to(folder.resolve()).as_posix()
+    return plain
+
+
+def _plain(name: str) -> str:
+    return os.path.normpath(name.replace("\\", "/"))
+
+
+def find_maps(folder: Path, libraries: Mapping[str, bytes]) -> tuple[dict[str, str], list[str]]:
+    """The files that the libraries name: those that can go along, and those that cannot.
+
+    Raises BadFile where they have more than four times `FLX_MAX_BYTES` in all.
+    """
+    found, missing, sizes = {}, [], {}
+    most = limit("FLX_MAX_BYTES")
+    for name in dict.fromkeys(name for content in libraries.values() for name in files_named(content)):
+        try:
+            own, path = _own_name(folder, name), inside(folder, name)
+            there = own.lower().endswith(SUFFIXES) and path.is_file() and path.stat().st_size <= most
+        except (BadFile, OSError):
+            there = False
+        if not there:
+            missing.append(name)
+            continue
+        found[name], sizes[own] = own, path.stat().st_size
+    if sum(sizes.values()) > 4 * most:
+        raise BadFile(f"its maps have more than {4 * most:,} bytes; reduce them, or set FLX_MAX_BYTES")
+    return found, missing
+
+
+# ---------------------------------------------------------------------------------------------- writing
+
+
+def write_painted(source: ObjSource, images: Mapping[str, str], fresh: str, path: Path) -> None:
+    """The OBJ whose material m shows the image file `images[m]`, which lies beside `path`.
+
+    "" stands for faces without a material, which get the one called `fresh`. What no library defines is added
+    to the first.
+    """
+    named = {name or fresh: image for name, image in images.items()}
+    libraries = {name: repainted(content, named) for name, content in source.libraries.items()}
+    added = {m: image for m, image in named.items() if m not in material_names(source)}
+    if added:
+        first = next(iter(libraries), "")
+        libraries[first] = _with_materials(libraries.get(first, b""), added)
+    text = _with_material_of_the_rest(source.text, fresh) if "" in images else source.text
+    _write(source, libraries, text, path)
+
+
+def write_colored(source: ObjSource, rows: Int[Any, "N"], colors: Float32[Any, "N 3"], path: Path) -> None:
+    """The OBJ with other colours of the v in `rows`, their mean where one stands there several times.
+
+    Counts to 1 or to 255 as the file does; other v keep their own. Raises ValueError where a v has no colour.
+    """
+    found = (found.span(channel) for found in COLORED.finditer(source.text) for channel in (4, 5, 6))
+    places = np.fromiter((end for span in found for end in span), np.int64).reshape(-1, 3, 2)
+    if source.colors is None or len(places) != len(source.colors):
+        raise ValueError(f"{len(places)} v of the OBJ have a colour, not all; export it again")
+    counts = np.bincount(rows, minlength=len(source.colors))
+    used = np.flatnonzero(counts)
+    sums = [np.bincount(rows, channel, len(source.colors)) for channel in colors.T.astype(np.float64)]
+    means = (np.stack(sums, 1)[used] / counts[used, None]).astype(np.float32)
+    table = source.colors.copy()
+    table[used] = quantized(means)
+    # A file of 255 that is black by now would be taken for one that counts to 1, and so it is written.
+    whole = color_scale(source.colors) == color_scale(table) == 255
+    word, numbers = (b"%d", quantized(means)) if whole else (b"%.9g", means)
+    spans = zip(places[used].reshape(-1, 2).tolist(), numbers.ravel().tolist(), strict=True)
+    edits = ((start, end, word % number) for (start, end), number in spans)
+    _write(source, source.libraries, edited(source.text, edits), path)
+
+
+def write_copy(source: ObjSource, path: Path) -> None:
+    """The OBJ with all its files, unchanged but for the names of the MTL files."""
+    _write(source, source.libraries, source.text, path)
+
+
+def only_object(source: ObjSource) -> str:
+    """The name of the one object there is; "" without one, and where there are several."""
+    names = {found["value"].strip() for found in _statements(OBJECT, source.text)}
+    return names.pop().decode(errors="replace") if len(names) == 1 else ""
+
+
+def structure(source: ObjSource) -> dict[str, int]:
+    """How many objects, groups and smoothing groups the text has; no smoothing counts none."""
+    names: dict[bytes, set[bytes]] = {b"o": set(), b"g": set(), b"s": set()}
+    for found in _statements(STRUCTURE, source.text):
+        names[found["key"]].add(found["value"].strip())
+    objects, groups, smooth = names.values()
+    smooth -= {b"off", b"0", b""}
+    return {"object": len(objects), "group": len(groups), "smoothing group": len(smooth)}
+
+
+def has_lines(source: ObjSource) -> bool:
+    """Whether the text has elements that are no faces: lines or points."""
+    return next(_statements(LINE, source.text), None) is not None
+
+
+def material_names(source: ObjSource) -> set[str]:
+    """The materials that the libraries define."""
+    found = [s for content in source.libraries.values() for s in statements(content) if s.key == "newmtl"]
+    return set(map(material_name, found))
+
+
+def _with_materials(library: bytes, images: Mapping[str, str]) -> bytes:
+    end = line_end(library)
+    lines = [f"newmtl {m}\nKd 1 1 1\nmap_Kd {image}".encode() for m, image in images.items()]
+    gap = end if library and not library.endswith((b"\n", b"\r")) else b""
+    return library + gap + b"".join(line + b"\n" for line in lines).replace(b"\n", end)
+
+
+def _with_material_of_the_rest(text: bytes, name: str) -> bytes:
+    """The text with a usemtl before its first face, and a name where a usemtl has none."""
+    uses = list(_statements(USE, text))
+    edits = [(use.end(), use.end(), b" " + name.encode()) for use in uses if not use["value"].strip()]
+    first = next(_statements(FACE, text), None)
+    if first and (not uses or first.start() < uses[0].start()):
+        edits.insert(0, (first.start(), first.start(), b"usemtl " + name.encode() + line_end(text)))
+    return edited(text, edits)
+
+
+def library_files(source: ObjSource, path: Path) -> dict[str, Path]:
+    """Where each library goes that an OBJ at `path` will name; at least one."""
+    names = enumerate(list(source.libraries) or [""])
+    return {name: path.with_name(f"{path.stem}_{k}.mtl" if k else f"{path.stem}.mtl") for k, name in names}
+
+
+def _write(source: ObjSource, libraries: Mapping[str, bytes], text: bytes, path: Path) -> None:
+    """Maps, libraries and, last, the OBJ that names them."""
+    _copy_maps(source, _maps_of(source, libraries.values()), path.parent)
+    files = library_files(source, path)
+    for name, content in libraries.items():
+        write_atomically(files[name], content)
+    write_atomically(path, _naming(source, text, {name: files[name].name for name in libraries}))
+
+
+def _naming(source: ObjSource, text: bytes, written: Mapping[str, str]) -> bytes:
+    """The text with mtllib naming the files written. Without an MTL before: it stands in for what is missing,
+    or comes first."""
+    stand_in = written.get("")
+    edits, named = [], False
+    for found in _statements(LIBRARY, text):
+        names = [written.get(n, stand_in or n) for n in _names(source.folder, found["value"])]
+        names = names or [stand_in or ""]
+        start = found.start("value")
+        gap = b"" if found["value"] or not names[0] else b" "
+        edits.append((start, start + len(found["value"].rstrip()), gap + " ".join(names).encode()))
+        named = True
+    if stand_in and not named:
+        at = len(BOM) if text.startswith(BOM) else 0
+        edits.append((at, at, f"mtllib {stand_in}".encode() + line_end(text)))
+    return edited(text, edits)
+
+
+def other_names(source: ObjSource, painted: Iterable[str]) -> list[str]:
+    """The files, as the libraries name them, that are still named where materials get other base colours."""
+    images = dict.fromkeys(painted, "\0")  # no file is called so
+    libraries = [repainted(content, images) for content in source.libraries.values()]
+    names = dict.fromkeys(name for content in libraries for name in files_named(content))
+    return [name for name in names if name != "\0"]
+
+
+def _maps_of(source: ObjSource, libraries: Iterable[bytes]) -> list[str]:
+    names = dict.fromkeys(name for content in libraries for name in files_named(content))
+    return [name for name in names if name in source.maps]
+
+
+def check_maps(source: ObjSource, names: Iterable[str], folder: Path) -> None:
+    """Raises ValueError where a map cannot be copied to a folder: another file is called so there."""
+    for name in names:
+        target = inside(folder, source.maps[name])
+        if target.exists() and read_file(target) != read_file(inside(source.folder, name)):
+            raise ValueError(f"{target} is there, and is another image than {name}; name another --out")
+
+
+def _copy_maps(source: ObjSource, names: Iterable[str], folder: Path) -> None:
+    """Every map under its own name in another folder, unless it is there."""
+    for name in names:
+        target = inside(folder, source.maps[name])
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(target, read_file(inside(source.folder, name)))

@@ -1,0 +1,315 @@
+"""Polygon files (PLY) taken apart: bytes → triangles.
+
+Our own reader. trimesh's invents vertices for an ASCII file that ends early, refuses binary files in which
+triangles and quadrangles mix, and takes one texture of several; here the header is held against the bytes
+before anything is made of its counts. ASCII bodies become float64 numbers and are read as a binary body is.
+"""
+
+import itertools
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int, Num
+
+from flx.assets.formats.files import BadFile, check_faces, numbers
+from flx.assets.formats.obj import colors_of, fans, unmerge
+from flx.assets.formats.parts import Part
+from flx.geometry.arrays import distinct_rows
+
+TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+}
+READ = {
+    "vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"},
+    "face": {"vertex_indices", "vertex_index", "texcoord", "texnumber"},
+}
+ASCII = "ASCII text"  # what is written is binary
+CHUNK = 1 << 22  # characters of an ASCII body handled at a time
+MOST_HEADER = 1 << 16
+COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+
+
+class Property(NamedTuple):
+    """One property of an element; a list where `count` is the type of its length."""
+
+    name: str
+    type: str
+    count: str | None
+
+
+class Element(NamedTuple):
+    """One element of the header."""
+
+    name: str
+    length: int
+    properties: list[Property]
+
+
+class Column(NamedTuple):
+    """The values of one property, and for lists how many each row has, end to end."""
+
+    values: Num[Any, "N"]
+    sizes: Int[Any, "R"] | None
+
+
+class Ply(NamedTuple):
+    """A PLY file: its parts (`material` is the number of an image), its images, what was cut."""
+
+    parts: list[Part]
+    images: list[str]
+    polygons: int  # faces of more than three corners
+    unread: tuple[str, ...]  # what else there is, in words
+
+
+def parse_ply(content: bytes, name: str) -> Ply:
+    """Raises BadFile for a header that is none, a body shorter than it says, and indices out of range."""
+    elements, images, order, head = _header(content)
+    at, is_ascii = head, order is None
+    body: Body = content
+    if order is None:
+        text = content[at:].decode("ascii", errors="replace")
+        values = np.concatenate([numbers(text[a:b]) for a, b in _pieces(text)])
+        body, at, order = values.astype("<f8").data.cast("B"), 0, "<"
+        read_as = dict.fromkeys(TYPES.values(), "f8")
+    else:
+        read_as = {kind: kind for kind in TYPES.values()}
+    tables = {}
+    for element in elements:
+        tables[element.name], at = _read(element, body, at, order, read_as)
+    vertex, face = tables.get("vertex", {}), tables.get("face", {})
+    corners = face.get("vertex_indices", face.get("vertex_index"))
+    if corners is None or corners.sizes is None or not {"x", "y", "z"} <= vertex.keys():
+        return Ply([], images, 0, ())
+    kinds = {p.name: p.type for e in elements if e.name == "vertex" for p in e.properties}
+    found = _parts(name, vertex, kinds, face, corners, images)
+    return found._replace(unread=_unread(elements, content[:head], is_ascii))
+
+
+# ---------------------------------------------------------------------------------------------- the file
+
+
+def _header(content: bytes) -> tuple[list[Element], list[str], str | None, int]:
+    """Elements, texture files, byte order (None: ASCII) and where the body begins."""
+    end = re.compile(rb"^end_header[ \t]*\r?\n?", re.MULTILINE).search(content[:MOST_HEADER])
+    if not content.startswith(b"ply") or end is None:
+        raise BadFile("not a PLY header; export it again")
+    elements, images, order = [], [], ""
+    for line in content[: end.start()].decode("utf-8", errors="replace").splitlines()[1:]:
+        match line.split():
+            case ["format", kind, "1.0"] if kind in ORDERS:
+                order = ORDERS[kind]
+            case ["element", name, length] if length.isdecimal():
+                elements.append(Element(name, int(length), []))
+            case ["property", "list", count, kind, name] if {count, kind} <= TYPES.keys() and elements:
+                elements[-1].properties.append(Property(name, TYPES[kind], TYPES[count]))
+            case ["property", kind, name] if kind in TYPES and elements:
+                elements[-1].properties.append(Property(name, TYPES[kind], None))
+            case ["comment", word, *_] if word.lower() == "texturefile":
+                images.append(line.strip().split(None, 2)[-1])
+            case ["comment" | "obj_info", *_] | []:
+                pass
+            case _:
+                raise BadFile(f"header line {line[:60]!r} is no PLY; export it again")
+    if order == "":
+        raise BadFile("the PLY header names no format; export it again")
+    return elements, images, order, end.end()
+
+
+def _unread(elements: list[Element], header: bytes, is_ascii: bool) -> tuple[str, ...]:
+    """Properties, elements and comments that nothing is made of."""
+    found = []
+    for element in elements:
+        names = {p.name for p in element.properties}
+        known = READ.get(element.name)
+        if known is None:
+            found.append(f"{element.length:,} × {element.name}")
+            continue
+        if element.name == "vertex":
+            known = known.union(*[pair for pair in COORDINATES if set(pair) <= names][-1:])
+        found += [f"{element.name} {p.name}" for p in element.properties if p.name not in known]
+    words = [line.split() for line in header.decode("utf-8", errors="replace").splitlines()]
+    texts = [w for w in words if w[:1] in (["comment"], ["obj_info"]) and w[1:] not in ([], ["flx"])]
+    comments = sum(w[0] == "obj_info" or w[1].lower() != "texturefile" for w in texts)
+    found += [f"{comments} comment{'s' * (comments > 1)}"] * (comments > 0)
+    return (*found, *[ASCII] * is_ascii)
+
+
+Body = bytes | memoryview
+Field = tuple[str, str, str | None]  # name, type, type of a list's length
+ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+def _pieces(text: str) -> list[tuple[int, int]]:
+    """Cuts of a text at white space, so that a piece's words do not take much memory."""
+    cuts = [0]
+    while cuts[-1] < len(text):
+        blank = re.compile(r"\s").search(text, cuts[-1] + CHUNK)
+        cuts.append(blank.start() if blank else len(text))
+    return list(itertools.pairwise(cuts)) or [(0, 0)]
+
+
+def _read(
+    element: Element, content: Body, start: int, order: str, read_as: dict[str, str]
+) -> tuple[dict[str, Column], int]:
+    """The columns of one element, and where the next begins."""
+    if not element.properties or not element.length:
+        return {}, start
+    fields = [
+        (p.name, order + read_as[p.type], p.count and order + read_as[p.count]) for p in element.properties
+    ]
+    least = sum(np.dtype(count or kind).itemsize for _, kind, count in fields)
+    if len({name for name, *_ in fields}) < len(fields):
+        raise BadFile(f"element {element.name!r} has a property twice; export it again")
+    if start + least * element.length > len(content):
+        raise BadFile(f"the file is too short for {element.length:,} × {element.name}; export it again")
+    if element.name == "face":
+        check_faces(element.length)
+    return _read_alike(element, fields, content, start) or _read_each(element, fields, content, start)
+
+
+def _read_alike(
+    element: Element, fields: list[Field], content: Body, start: int
+) -> tuple[dict[str, Column], int] | None:
+    """Rows with lists as long as those of the first; None where they are not."""
+    layout, at = [], start
+    for name, kind, count in fields:
+        size = 1
+        if count:
+            try:
+                size = _size(np.frombuffer(content, count, 1, at)[0])
+            except ValueError:
+                return None
+            layout.append((f"{name} size", count, (1,)))
+            at += np.dtype(count).itemsize
+        layout.append((name, kind, (size,)))
+        at += np.dtype(kind).itemsize * size
+        if at > len(content):
+            return None
+    dtype = np.dtype(layout)
+    if start + dtype.itemsize * element.length > len(content):
+        return None
+    rows = np.frombuffer(content, dtype, element.length, start)
+    columns = {}
+    for name, _, count in fields:
+        sizes = np.full(element.length, rows[name].shape[1]) if count else None
+        if count and (rows[f"{name} size"][:, 0] != rows[name].shape[1]).any():
+            return None
+        columns[name] = Column(rows[name].reshape(-1), sizes)
+    return columns, start + dtype.itemsize * element.length
+
+
+def _read_each(
+    element: Element, fields: list[Field], content: Body, start: int
+) -> tuple[dict[str, Column], int]:
+    """Rows one by one."""
+    found: dict[str, list] = {name: [] for name, *_ in fields}
+    for row in range(element.length):
+        for name, kind, count in fields:
+            size, width = 1, np.dtype(kind).itemsize
+            try:
+                if count:
+                    size = _size(np.frombuffer(content, count, 1, start)[0])
+                    start += np.dtype(count).itemsize
+                if start + width * size > len(content):
+                    raise ValueError
+            except ValueError:
+                raise BadFile(f"{element.name} {row} is cut off or broken; export it again") from None
+            found[name].append(np.frombuffer(content, kind, size, start))
+            start += width * size
+    return {
+        name: Column(np.concatenate(found[name]), np.array([len(v) for v in found[name]]) if count else None)
+        for name, _, count in fields
+    }, start
+
+
+def _size(value: Any) -> int:
+    """The length of a list, which in an ASCII file is a float. Raises ValueError where it cannot be one."""
+    if not 0 <= value < 1 << 31 or value != int(value):
+        raise ValueError(f"{value} is no length of a list")
+    return int(value)
+
+
+# ---------------------------------------------------------------------------------------------- the mesh
+
+
+def _parts(
+    name: str,
+    vertex: dict[str, Column],
+    kinds: dict[str, str],
+    face: dict[str, Column],
+    corners: Column,
+    images: list[str],
+) -> Ply:
+    with np.errstate(invalid="ignore"):  # what is not finite is refused by name, later
+        points = np.stack([vertex[axis].values for axis in "xyz"], 1).astype(np.float64)
+    assert corners.sizes is not None
+    if (corners.sizes < 3).any():
+        raise BadFile(f"face {(corners.sizes < 3).argmax()} has fewer than three corners; export it again")
+    check_faces(int((corners.sizes - 2).sum()))
+    indices = corners.values.astype(np.float64)
+    wrong = ~((indices >= 0) & (indices < len(points)) & (indices == np.floor(indices)))
+    if wrong.any():
+        raise BadFile(f"a face names vertex {indices[wrong][0]:g} of {len(points)}; export it again")
+    triangles, owners = fans(corners.sizes)
+    faces = indices.astype(np.int64)[triangles]
+    rows, uvs = np.arange(len(points)), None
+    for pair in COORDINATES:
+        if set(pair) <= vertex.keys():
+            uvs = np.stack([vertex[axis].values for axis in pair], 1).astype(np.float64)
+    if (wedge := face.get("texcoord")) is not None and wedge.sizes is not None:
+        rows, uvs, faces = _wedges(wedge, corners.sizes, faces, triangles)
+    if uvs is not None:
+        uvs = uvs * [1, -1] + [0, 1]
+
+    number = np.zeros(len(owners), np.int64)
+    if len(images) > 1:
+        if "texnumber" not in face:
+            raise BadFile(f"{len(images)} texture files, and no texnumber of the faces; keep one")
+        number = face["texnumber"].values.astype(np.int64)[owners]
+    if len(number) and not 0 <= number.min() <= number.max() < max(len(images), 1):
+        raise BadFile(f"a face has texture {number.max()} of {len(images)}; export it again")
+    normals, colors = _triple(vertex, ("nx", "ny", "nz")), _triple(vertex, ("red", "green", "blue"))
+    if colors is not None:
+        whole = kinds["red"][0] in "iu"
+        colors = (
+            (colors / np.iinfo(kinds["red"]).max).clip(0, 1).astype(np.float32)
+            if whole
+            else colors_of(colors)
+        )
+    parts = []
+    for image in np.unique(number):
+        used, compact = np.unique(faces[number == image], return_inverse=True)
+        used = np.arange(len(rows)) if len(images) < 2 else used
+        parts.append(
+            Part(
+                name=name,
+                material=int(image),
+                positions=points[rows[used]],
+                normals=None if normals is None else normals[rows[used]],
+                uvs=None if uvs is None else uvs[used],
+                colors=None if colors is None else colors[rows[used]],
+                faces=faces if len(images) < 2 else compact.reshape(-1, 3),
+            )
+        )
+    return Ply(parts, images, int((corners.sizes > 3).sum()), ())
+
+
+def _triple(vertex: dict[str, Column], names: tuple[str, str, str]) -> Float64[Any, "V 3"] | None:
+    if not set(names) <= vertex.keys():
+        return None
+    return np.stack([vertex[name].values for name in names], 1).astype(np.float64)
+
+
+def _wedges(
+    wedge: Column, sizes: Int[Any, "N"], faces: Int[Any, "F 3"], triangles: Int[Any, "F 3"]
+) -> tuple[Int[Any, "R"], Float64[Any, "R 2"], Int[Any, "F 3"]]:
+    """Coordinates of corners: the vertex and the coordinates of each row, and the faces made of rows."""
+    if (wedge.sizes != 2 * sizes).any():
+        raise BadFile("texcoord does not have two numbers for each corner; export it again")
+    coordinates = wedge.values.astype(np.float64).reshape(-1, 2)
+    first, kinds = distinct_rows(coordinates)
+    rows, made = unmerge(np.stack([faces.reshape(-1), kinds[triangles.reshape(-1)]], 1))
+    return rows[:, 0], coordinates[first][rows[:, 1]], made

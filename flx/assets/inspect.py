@@ -1,0 +1,81 @@
+"""What only a closer look at an asset shows: overlapping charts, parts inside out, pixels in a one-ring."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+
+from flx.assets.asset import Asset
+from flx.geometry.atlas import uv_areas
+from flx.geometry.raster import barycentric_planes, pixels_inside
+from flx.geometry.topology import edges_of, pieces
+
+RASTER = 1024  # pixels on the longer side on which texels are counted
+
+MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, its repetitions counted
+
+WITHIN = 1e-6  # least barycentric of a pixel that is one face's own: neighbours share those on their edge
+
+
+def coverage(asset: Asset) -> tuple[float, float]:
+    """The share of texels that the surface shows, and of these the share that it shows more than once."""
+    mesh, shown, doubled, texels = asset.mesh, 0, 0, 0
+    areas = np.abs(uv_areas(mesh))
+    for index, (image, texture) in enumerate(zip(mesh.textures, asset.textures, strict=True)):
+        if texture.flat:
+            continue
+        chosen = mesh.face_textures == index
+        scale = min(1.0, RASTER / max(image.shape[:2]))
+        pixels = areas[chosen].sum() * image.shape[0] * image.shape[1] * scale**2
+        scale *= min(1.0, (MOST_PIXELS / max(pixels, 1.0)) ** 0.5)
+        height, width = (max(1, round(side * scale)) for side in image.shape[:2])
+        counts = np.zeros(height * width, np.int64)
+        corners = mesh.corner_uvs[chosen] * [width, height] - 0.5
+        barycentrics = barycentric_planes(corners)
+        for triangles, columns, rows in pixels_inside(corners):
+            own = barycentrics(triangles, columns, rows).min(0) > WITHIN
+            place = rows[own] % height * width + columns[own] % width
+            counts += np.bincount(place, minlength=len(counts))
+        shown, doubled = shown + int((counts > 0).sum()), doubled + int((counts > 1).sum())
+        texels += len(counts)
+    return shown / max(texels, 1), doubled / max(shown, 1)
+
+
+def inside_out_components(asset: Asset) -> int:
+    """Closed components whose signed volume is negative."""
+    vertices, faces = asset.mesh.vertices, asset.mesh.faces
+    component, closed = _components(faces, len(vertices))
+    a, b, c = np.moveaxis((vertices - vertices.mean(0))[faces], 1, 0)
+    volumes = np.bincount(component[faces[:, 0]], np.einsum("fx,fx->f", a, np.cross(b, c)))
+    return int((closed & (volumes < 0)).sum())
+
+
+def _components(faces: Int[Any, "F 3"], count: int) -> tuple[Int[Any, "V"], Bool[Any, "N"]]:
+    """The component of each vertex, and which components have no boundary."""
+    edges = edges_of(faces, count)
+    ends = edges.ends
+    number, component = pieces(ends, count)
+    closed = np.ones(number, bool)
+    closed[component[ends[edges.uses == 1, 0]]] = False
+    return component, closed
+
+
+def ring_pixels(asset: Asset, painted: Bool[Any, "F"], vertices: int) -> tuple[float, float, float] | None:
+    """Pixels of the texture in a one-ring of a copy, which has 3/V of the surface."""
+    areas = _face_areas(asset)
+    sizes = np.array([image.shape[0] * image.shape[1] for image in asset.mesh.textures] or [0])
+    pixels = np.abs(uv_areas(asset.mesh)) * sizes[asset.mesh.face_textures]
+    chosen = painted & (areas > 0)
+    if not chosen.any():
+        return None
+    ring = 3 * areas.sum() / vertices * pixels[chosen] / areas[chosen]
+    order = np.argsort(ring)
+    share = np.cumsum(areas[chosen][order])
+    marks = np.searchsorted(share, np.array([0.05, 0.5, 0.95]) * share[-1])
+    low, median, high = ring[order][np.minimum(marks, len(order) - 1)].tolist()
+    return low, median, high
+
+
+def _face_areas(asset: Asset) -> Float64[Any, "F"]:
+    a, b, c = np.moveaxis(asset.mesh.vertices[asset.mesh.faces], 1, 0)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2

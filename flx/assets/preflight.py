@@ -1,0 +1,46 @@
+"""Before anything is paid for: can the asset be written there, and what will the new file lack?"""
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from flx.assets.asset import Asset, Format
+from flx.assets.conversion import dangling, left_behind
+from flx.assets.formats.gltf import Gltf
+from flx.assets.formats.obj_source import ObjSource
+from flx.assets.write import check_room
+
+
+def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Sequence[Path] = ()) -> None:
+    """Before anything is paid for: can the asset be written to `paths`, with other files `beside` it? Says on
+    stderr, in one line, what stays behind and what is not there.
+
+    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures; where files
+    of the asset itself would be overwritten; and where there can be no such folder.
+    """
+    for folder in {path.parent for path in paths}:
+        _check_folder(folder)
+    if format == "ply" and asset.textures:
+        raise ValueError(
+            f"{asset.path} has textures, a PLY has colours of vertices; take --format glb or obj"
+        )
+    for path in paths:
+        check_room(asset, path, beside)
+    told = []
+    if left := left_behind(asset, format):
+        kept = {ObjSource: "; --format obj keeps all", Gltf: "; --format glb keeps all"}
+        told.append(f"{left} stay behind{kept.get(type(asset.container), '')}")
+    if missing := dangling(asset, format):
+        told.append(f"not there, but named in what is written: {missing}")
+    if told:
+        print(f"{asset.path}: {'; '.join(told)}", file=sys.stderr)
+
+
+def _check_folder(folder: Path) -> None:
+    """Raises ValueError where no folder can be made, or nothing written into it."""
+    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    if not there.is_dir():
+        raise ValueError(f"{there} is a file; name a folder with --out")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise ValueError(f"{there} may not be written to; name another folder with --out")

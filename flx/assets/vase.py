@@ -1,0 +1,302 @@
+"""A glazed vase with blossoms, made from formulas: the asset to try everything on without a download.
+
+The height is about 1, the axis is y, the foot stands on y = 0. The surface is closed (χ = 2): outside, lip, a
+well narrower than the outside (vertices are spent where they are seen), its floor, foot. The texture is
+painted on the surface, not in the atlas: a texel's colour depends on its place in space alone, so the seams
+between the five charts do not show. The pattern is all over and of one scale, 2 to 12 % of the height; no
+stroke is thinner than about 1 %.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import igl
+import numpy as np
+import trimesh
+from jaxtyping import Float32, Float64, Int
+from PIL import Image
+from scipy.interpolate import BSpline
+from scipy.ndimage import map_coordinates
+from scipy.spatial import KDTree
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+from flx.geometry.atlas import atlas_texels, paint
+from flx.geometry.sampling import face_normals, positions
+from flx.types import SurfacePoints, TexturedMesh
+
+TEXTURE = 1024  # texels along each side
+SPACING = 0.02  # of vertices along the profile and around the belly
+SEED = 7
+EDGE = 0.006  # width of a brush mark's edge: not quite three texels
+# Control points (radius, height) of a quadratic B-spline, from the middle of the foot's underside to the
+# middle of the well's floor.
+# fmt: off
+PROFILE = np.array([
+    (0, 0.025), (0.06, 0.025), (0.115, 0.025), (0.13, 0.0), (0.16, 0.0), (0.165, 0.03), (0.15, 0.06),  # foot
+    (0.20, 0.15), (0.305, 0.30), (0.35, 0.50), (0.31, 0.69), (0.17, 0.78),  # body
+    (0.095, 0.85), (0.105, 0.94), (0.165, 0.985), (0.185, 1.015), (0.15, 1.03),  # neck and lip
+    (0.10, 0.98), (0.055, 0.92), (0.05, 0.84), (0.09, 0.76), (0.12, 0.66), (0.12, 0.55),
+    (0.08, 0.50), (0, 0.50),
+])
+# fmt: on
+
+CREAM, CELADON = np.array([0.945, 0.915, 0.835]), np.array([0.80, 0.875, 0.815])
+COBALT, SKY_BLUE = np.array([0.085, 0.19, 0.52]), np.array([0.33, 0.52, 0.79])
+LEAF, MOSS = np.array([0.13, 0.42, 0.36]), np.array([0.42, 0.58, 0.30])
+OCHRE, IRON = np.array([0.90, 0.66, 0.20]), np.array([0.74, 0.27, 0.17])
+
+
+def vase() -> TexturedMesh:
+    """The vase with its texture: the same one each time."""
+    vertices, faces, corner_uvs = _lathe()
+    blank = np.zeros((TEXTURE, TEXTURE, 3), np.uint8)
+    no_colors = np.zeros((len(faces), 3, 3), np.float32)
+    mesh = TexturedMesh(vertices, faces, corner_uvs, np.zeros(len(faces), np.int64), (blank,), no_colors)
+    atlas = atlas_texels(mesh, 0, TEXTURE, TEXTURE)
+    places = positions(vertices, faces, atlas.points)
+    normals = positions(igl.per_vertex_normals(vertices, faces), faces, atlas.points)  # continuous
+    texture = paint(atlas, _glaze(mesh, places, normals))
+    return mesh._replace(textures=(texture,))
+
+
+def write_vase(path: str | Path) -> None:
+    """Write the vase as a GLB with one PBR material; its vertices are split along the UV seams."""
+    mesh = vase()
+    corners = np.concatenate([mesh.faces.reshape(-1, 1), mesh.corner_uvs.reshape(-1, 2)], 1)
+    split, faces = np.unique(corners, axis=0, return_inverse=True)
+    welded = split[:, 0].astype(np.int64)
+    material = PBRMaterial(
+        name="glaze",
+        baseColorTexture=Image.fromarray(mesh.textures[0]),
+        metallicFactor=0.0,
+        roughnessFactor=0.35,
+    )
+    visual = TextureVisuals(uv=np.stack([split[:, 1], 1 - split[:, 2]], 1), material=material)
+    normals = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).vertex_normals[welded]
+    body = trimesh.Trimesh(
+        mesh.vertices[welded], faces.reshape(-1, 3), vertex_normals=normals, visual=visual, process=False
+    )
+    scene = trimesh.Scene()
+    scene.add_geometry(body, node_name="vase", geom_name="vase")
+    scene.export(str(path), file_type="glb", include_normals=True)
+
+
+# --- the shape
+
+
+def _profile() -> tuple[Float64[Any, "M 2"], Float64[Any, "M"]]:
+    """(radius, height) at equal steps of the profile, and the length so far."""
+    count = len(PROFILE)
+    knots = np.concatenate([[0, 0], np.linspace(0, 1, count - 1), [1, 1]])
+    dense = BSpline(knots, PROFILE, 2)(np.linspace(0, 1, 4001))
+    lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+    steps = np.linspace(0, lengths[-1], round(lengths[-1] / SPACING) + 1)
+    profile = np.stack([np.interp(steps, lengths, dense[:, k]) for k in range(2)], 1)
+    profile[[0, -1], 0] = 0
+    profile[:, 1] -= profile[:, 1].min()
+    return profile, steps
+
+
+def _lathe() -> tuple[Float64[Any, "V 3"], Int[Any, "F 3"], Float64[Any, "F 3 2"]]:
+    """The surface of revolution: vertices, faces and the UVs of their corners."""
+    profile, lengths = _profile()
+    around = 4 * round(2 * np.pi * profile[:, 0].max() / SPACING / 4)
+    inner = len(profile) - 2  # rings of vertices between the two poles
+    angles = 2 * np.pi * np.arange(around) / around
+    rings = profile[1:-1, None]
+    vertices = np.stack(
+        [
+            rings[..., 0] * np.sin(angles),
+            np.broadcast_to(rings[..., 1], (inner, around)),
+            rings[..., 0] * np.cos(angles),
+        ],
+        -1,
+    ).reshape(-1, 3)
+    poles = np.array([[0, profile[0, 1], 0], [0, profile[-1, 1], 0]])
+    vertices = np.concatenate([vertices, poles])
+
+    # Corners as (step of the profile, step around), the latter up to `around`: a chart's far edge.
+    i, j = np.meshgrid(np.arange(inner - 1) + 1, np.arange(around), indexing="ij")
+    quads = [np.stack([a, b], -1).reshape(-1, 2) for a, b in ((i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j))]
+    fan = np.arange(around)
+    at = lambda ring, turns: np.stack([np.full(around, ring), turns], -1)  # noqa: E731
+    triangles = [(quads[0], quads[1], quads[2]), (quads[0], quads[2], quads[3])]
+    triangles += [(at(0, fan), at(1, fan + 1), at(1, fan))]
+    triangles += [(at(inner + 1, fan), at(inner, fan), at(inner, fan + 1))]
+    corners = np.concatenate([np.stack(triangle, 1) for triangle in triangles])
+    step, turn = corners[..., 0], corners[..., 1]  # of each face's corners
+    faces = (step - 1) * around + turn % around
+    faces = np.where(step == 0, len(vertices) - 2, np.where(step == inner + 1, len(vertices) - 1, faces))
+    return vertices, faces, _unwrap(profile, lengths, step, turn, around)
+
+
+def _unwrap(
+    profile: Float64[Any, "M 2"],
+    lengths: Float64[Any, "M"],
+    step: Int[Any, "F 3"],
+    turn: Int[Any, "F 3"],
+    around: int,
+) -> Float64[Any, "F 3 2"]:
+    """Five charts, none mirrored: two halves of the outside, the well, the foot, the well's floor.
+
+    The sides keep areas: x = angle · radius, y = length along the profile. Foot and floor are discs.
+    """
+    foot = np.flatnonzero(profile[:, 1] < 0.012)[-1]  # the outer rim of the foot
+    lip = profile[:, 1].argmax()
+    floor = len(profile) - 1 - round(0.10 / SPACING)
+    middle = step.min(1)  # of the face's row
+    half = 2 * turn.min(1) // around
+    radius, length, angle = profile[step, 0], lengths[step], 2 * np.pi * turn / around
+    strip = lambda centre, top: np.stack([(angle - centre) * radius, top - length], -1)  # noqa: E731
+    disc = lambda distance: distance[..., None] * np.stack([np.sin(angle), np.cos(angle)], -1)  # noqa: E731
+    charts = [
+        ((middle >= foot) & (middle < lip) & (half == 0), strip(np.pi / 2, lengths[lip])),
+        ((middle >= foot) & (middle < lip) & (half == 1), strip(3 * np.pi / 2, lengths[lip])),
+        ((middle >= lip) & (middle < floor), strip(np.pi, lengths[floor])),
+        (middle < foot, disc(length) * [1, -1]),
+        (middle >= floor, disc(lengths[-1] - length)),
+    ]
+    return _pack(charts)
+
+
+def _pack(charts: list[tuple[Any, Float64[Any, "F 3 2"]]]) -> Float64[Any, "F 3 2"]:
+    """The first two charts side by side, the others in a row below, all at one scale inside [0, 1]."""
+    gutter = 0.03
+    uvs = np.empty_like(charts[0][1])
+    x, y, below, right = gutter, gutter, 0.0, 0.0
+    for number, (chosen, chart) in enumerate(charts):
+        low, high = chart[chosen].min((0, 1)), chart[chosen].max((0, 1))
+        if number == 2:
+            x, y = gutter, below + gutter
+        uvs[chosen] = chart[chosen] - low + [x, y]
+        x += high[0] - low[0] + gutter
+        below, right = max(below, y + high[1] - low[1]), max(right, x)
+    return uvs / max(below + gutter, right)
+
+
+# --- the painting
+
+
+class Motif(NamedTuple):
+    """A kind of brush mark and how densely it is set."""
+
+    kind: str
+    reach: float  # greatest distance from its middle that it paints
+    apart: float  # what it keeps free about its middle
+    tries: int  # of places for it; few: sparse
+    palette: tuple[Float64[Any, "3"], Float64[Any, "3"]]
+
+
+# Large ones first: each later one fills what the earlier left free.
+MOTIFS = (
+    Motif("blossom", 0.062, 0.064, 240, (COBALT, SKY_BLUE)),
+    Motif("blossom", 0.050, 0.053, 160, (IRON, OCHRE)),
+    Motif("blossom", 0.047, 0.048, 500, (SKY_BLUE, COBALT)),
+    Motif("leaf", 0.044, 0.033, 1000, (LEAF, MOSS)),
+    Motif("blossom", 0.031, 0.032, 700, (OCHRE, IRON)),
+    Motif("leaf", 0.031, 0.024, 3000, (LEAF, COBALT)),
+    Motif("dot", 0.016, 0.018, 3000, (COBALT, SKY_BLUE)),
+    Motif("dot", 0.011, 0.013, 4000, (IRON, OCHRE)),
+)
+
+
+def _glaze(
+    mesh: TexturedMesh, places: Float64[Any, "P 3"], normals: Float64[Any, "P 3"]
+) -> Float32[Any, "P 3"]:
+    """Colours at places of the surface: cream and celadon glaze, faint crackle, and the motifs on it."""
+    rng = np.random.default_rng(SEED)
+    clouds = _noise(places, 0.22, rng)
+    colors = CREAM + (CELADON - CREAM) * np.clip(0.5 + 0.9 * clouds, 0, 1)[:, None]
+    cells = KDTree(rng.uniform([-0.4, -0.05, -0.4], [0.4, 1.1, 0.4], (4000, 3)))
+    near, far = cells.query(places, 2)[0].T
+    colors *= 1 - 0.07 * np.exp(-(((far - near) / 0.007) ** 2))[:, None]
+    washes = 0.75 + 0.5 * _noise(places, 0.03, rng)  # how thickly the brush laid the colour
+    tree = KDTree(places)
+    for motif, centre, normal in _scatter(mesh, rng):
+        touched = np.array(tree.query_ball_point(centre, motif.reach + EDGE), np.int64)
+        fade = np.clip(2 * normals[touched] @ normal + 0.4, 0, 1)  # round the lip, not through the wall
+        touched, fade = touched[fade > 0], fade[fade > 0]
+        if len(touched):
+            _brush(colors, touched, motif, places[touched] - centre, normal, washes[touched], fade, rng)
+    return np.clip(colors, 0, 1).astype(np.float32)
+
+
+def _scatter(mesh: TexturedMesh, rng: np.random.Generator) -> list[tuple[Motif, Any, Any]]:
+    """Motifs dropped one after another where they fit: places uniform by area, none overlapping."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    flat = face_normals(mesh.vertices, mesh.faces)
+    taken, facing, radii, placed = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), []
+    for motif in MOTIFS:
+        hits = rng.choice(len(areas), motif.tries, p=areas / areas.sum())
+        corners = rng.dirichlet((1.0, 1.0, 1.0), motif.tries)
+        middles = positions(mesh.vertices, mesh.faces, SurfacePoints(hits, corners))
+        for middle, normal in zip(middles, flat[hits], strict=True):
+            near = np.square(taken - middle).sum(1) < (radii + motif.apart) ** 2
+            if (near & (facing @ normal > -0.3)).any():  # the far side of a wall does not compete
+                continue
+            taken, facing = np.concatenate([taken, middle[None]]), np.concatenate([facing, normal[None]])
+            radii = np.append(radii, motif.apart)
+            placed.append((motif, middle, normal))
+    return placed
+
+
+def _brush(
+    colors: Float64[Any, "P 3"],
+    touched: Int[Any, "N"],
+    motif: Motif,
+    offsets: Float64[Any, "N 3"],
+    normal: Float64[Any, "3"],
+    washes: Float64[Any, "N"],
+    fade: Float64[Any, "N"],
+    rng: np.random.Generator,
+) -> None:
+    """Paint one motif over `colors` in the tangent plane at its middle, turned at random.
+
+    Distances are those in space, directions those in the plane, so a motif bends with the surface.
+    """
+    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    across /= np.linalg.norm(across)
+    plane = offsets @ np.stack([across, np.cross(normal, across)], 1)
+    reach = np.linalg.norm(offsets, axis=1) / motif.reach  # 0 in the middle, 1 at the rim
+    turn = rng.uniform(0, 2 * np.pi)
+    angle = np.arctan2(plane[:, 1], plane[:, 0]) + turn
+    x, y = reach * np.cos(angle), reach * np.sin(angle)
+    outer, inner = motif.palette
+    blend = rng.uniform(0, 0.45)
+    body, accent = outer + (inner - outer) * blend, inner
+    soft = EDGE / motif.reach
+
+    def lay(inside: Float64[Any, "N"], color: Float64[Any, "N 3"] | Float64[Any, "3"], strength: Any) -> None:
+        cover = np.clip(inside / soft + 0.5, 0, 1) * strength * fade
+        colors[touched] += cover[:, None] * (color - colors[touched])
+
+    full = np.clip(0.95 * washes + 0.2, 0.55, 1)
+    if motif.kind == "blossom":
+        petals = int(rng.integers(5, 8)) if motif.reach > 0.06 else 5
+        lobes = np.abs(np.cos(petals * angle / 2))
+        rim = 0.62 + 0.34 * lobes**0.8
+        outward = np.clip((reach / rim - 0.25) / 0.75, 0, 1)[:, None] ** 1.5
+        lay(rim - reach, accent + (body - accent) * outward, full)
+        heart = OCHRE if outer is COBALT else IRON if outer is SKY_BLUE else COBALT
+        lay(0.40 - reach, CREAM, 0.92)
+        lay(0.25 - reach, heart, 0.95)
+    elif motif.kind == "leaf":
+        bend = 0.22 * (x * x - 0.4)
+        width = 0.46 * (1 - x * x) * (1.12 - 0.35 * x)
+        lay(
+            width - np.abs(y - bend),
+            body + (accent - body) * np.clip((y - bend) / 0.8 + 0.3, 0, 1)[:, None],
+            full,
+        )
+        if motif.reach > 0.035:
+            lay(0.075 * (0.9 - x) - np.abs(y - bend), CREAM, 0.5)
+    else:
+        lay(0.92 - reach, body, full)
+
+
+def _noise(places: Float64[Any, "P 3"], size: float, rng: np.random.Generator) -> Float64[Any, "P"]:
+    """Smooth noise in space, about ±½, of blobs of this size."""
+    grid = rng.uniform(-1, 1, (24, 24, 24))
+    return map_coordinates(grid, places.T / size, order=2, mode="grid-wrap", prefilter=False)

@@ -1,0 +1,1 @@
+"""Measuring: fidelity of textures, and the methods that flx is compared with."""

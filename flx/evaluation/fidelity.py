@@ -1,0 +1,75 @@
+"""How near a texture comes to another: metrics in the atlas, over the texels that show the surface."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+from skimage.metrics import structural_similarity
+
+from flx.assets.asset import Baked
+from flx.evaluation.lpips import Judge
+from flx.geometry.atlas import fill_gutter
+from flx.pipeline.canvas import Canvas, bake_back, resized
+
+WINDOW = 11  # pixels a side of the Gaussian windows of DSSIM; smaller pictures are continued to that
+
+
+def fidelity(canvas: Canvas, baked: Baked, judges: Sequence[Judge] = ()) -> dict[str, float]:
+    """PSNR, DSSIM and each judge's LPIPS of new textures against the asset's own.
+
+    Over covered texels of all textures. Vertex-coloured assets have no atlas: only a PSNR, over the vertices.
+    """
+    asset = canvas.asset
+    if not canvas.atlases:
+        used = np.unique(asset.corner_vertices)
+        own = bake_back(asset).colors
+        return {"psnr": psnr(float(np.mean((own[used] - baked.colors[used]) ** 2)))}
+    distances, weights = [], []
+    for atlas, own, new in zip(canvas.atlases, asset.mesh.textures, baked.images, strict=True):
+        if atlas is None or not len(atlas.rows):
+            continue
+        covered = np.zeros(new.shape[:2], bool)
+        covered[atlas.rows, atlas.columns] = True
+        distances.append(compare(resized(own, *new.shape[:2]), new, covered, judges))
+        weights.append(covered.sum())
+    means = {name: float(np.average([d[name] for d in distances], weights=weights)) for name in distances[0]}
+    return {"psnr": psnr(means.pop("squared_error")), **means}
+
+
+def compare(
+    own: UInt8[Any, "H W 3"],
+    new: UInt8[Any, "H W 3"],
+    covered: Bool[Any, "H W"],
+    judges: Sequence[Judge] = (),
+) -> dict[str, float]:
+    """Mean squared error in [0, 1], DSSIM = (1 − SSIM)/2 and LPIPS over the covered texels.
+
+    SSIM as Wang et al.: Gaussian windows of σ = 1.5. Both pictures get the same gutters, so that a window
+    at the rim of a chart compares colours of the surface alone.
+    """
+    own, new = fill_gutter(own, covered), fill_gutter(new, covered)
+    missing = [(0, max(0, WINDOW - side)) for side in covered.shape]
+    covered = np.pad(covered, missing)
+    own, new = (np.pad(image, [*missing, (0, 0)], mode="edge") for image in (own, new))
+    ours, theirs = (image.astype(np.float32) / 255 for image in (own, new))
+    similarity = structural_similarity(
+        ours,
+        theirs,
+        data_range=1.0,
+        channel_axis=-1,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        full=True,
+    )[1]
+    return {
+        "squared_error": float(np.mean((ours - theirs)[covered] ** 2)),
+        "dssim": float((1 - np.asarray(similarity)[covered].mean()) / 2),
+        **{judge.metric: judge.distance(own, new, covered) for judge in judges},
+    }
+
+
+def psnr(mean_squared_error: float) -> float:
+    """−10 log₁₀ of the mean squared error of colours in [0, 1], in dB."""
+    return float(-10 * np.log10(max(mean_squared_error, 1e-12)))

@@ -1,0 +1,113 @@
+"""Rows of 3-vectors, faster than NumPy's cross and norm.
+
+`numpy.take` gathers rows twice as fast as indexing does.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int, Num
+
+Vectors = Float64[Any, "N 3"]
+Lengths = Float64[Any, "N"]
+CHUNK = 1 << 12  # rows
+
+
+def chunks(count: int) -> Iterator[slice]:
+    """Rows to be handled at a time: what is made on the way stays in the cache, and takes no memory."""
+    return (slice(start, start + CHUNK) for start in range(0, count, CHUNK))
+
+
+def cross(u: Vectors, v: Vectors) -> Vectors:
+    x, y, z = u.T
+    p, q, r = v.T
+    return np.stack([y * r - z * q, z * p - x * r, x * q - y * p], 1)
+
+
+def dot(u: Vectors, v: Vectors) -> Lengths:
+    return np.einsum("ij,ij->i", u, v)
+
+
+def length_of(u: Vectors) -> Lengths:
+    return np.sqrt(dot(u, u))
+
+
+def unit(u: Vectors) -> Vectors:
+    """Vectors of length 1; zero stays zero."""
+    return u / (length_of(u)[:, None] + 1e-300)
+
+
+def area_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F 3"]:
+    """Face normals, twice the area long."""
+    normals = np.empty((len(faces), 3))
+    for rows in chunks(len(faces)):
+        a, b, c = (np.take(vertices, faces[rows, k], 0) for k in range(3))
+        normals[rows] = cross(b - a, c - a)
+    return normals
+
+
+def sum_at(groups: Int[Any, "N K"], values: Float64[Any, "N C"], count: int) -> Float64[Any, "V C"]:
+    """At each of `count` vertices, the sum of the values of the groups it is in."""
+    at, width = groups.ravel(), groups.shape[1]
+    return np.stack([np.bincount(at, np.repeat(x, width), count) for x in values.T], 1, dtype=float)
+
+
+def vertex_normals(faces: Int[Any, "F 3"], normals: Float64[Any, "F 3"], count: int) -> Float64[Any, "V 3"]:
+    """At each of `count` vertices, the direction of the sum of its faces' normals."""
+    return unit(sum_at(faces, normals, count))
+
+
+def distinct_rows(rows: Num[Any, "N K"]) -> tuple[Int[Any, "R"], Int[Any, "N"]]:
+    """Where each distinct row comes first, in the order of the rows' values, and which of these each row is.
+
+    −0.0 equals 0.0; NaN equals nothing.
+    """
+    columns, order = _sorted(rows)
+    fresh = np.ones(len(rows), bool)
+    fresh[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
+    which = np.empty(len(rows), np.int64)
+    which[order] = np.cumsum(fresh) - 1
+    return order[fresh], which
+
+
+def _sorted(rows):
+    """Columns by which rows are told apart, sorted, and where each row was, the first of equal ones first."""
+    key = _packed(rows)
+    if key is None:
+        order = np.lexsort(rows.T[::-1])
+        return [column[order] for column in rows.T], order
+    ranked, order = sort_keys(key)
+    return [ranked], order
+
+
+def _packed(rows):
+    """The rows as one number each, in the same order; None where 63 bits are too few."""
+    if rows.dtype.kind != "i" or not len(rows):
+        return None
+    key, room = np.zeros(len(rows), np.int64), 1
+    for column in rows.T:
+        least, size = int(column.min()), int(column.max()) - int(column.min()) + 1
+        room *= size
+        if room >> 63:
+            return None
+        key *= size
+        key += column - least
+    return key
+
+
+def sort_keys(keys: Int[Any, "N"]) -> tuple[Int[Any, "N"], Int[Any, "N"]]:
+    """Keys ≥ 0 in ascending order and where they were, the first of equal ones first.
+
+    A value sort of key and place in one integer is 10 times faster than `argsort`.
+    """
+    bits = len(keys).bit_length()
+    if int(keys.max()) >> (63 - bits):
+        order = np.argsort(keys, kind="stable")
+        return keys[order], order
+    packed = keys << bits
+    packed |= np.arange(len(keys))
+    packed.sort()
+    order = packed & ((1 << bits) - 1)
+    packed >>= bits
+    return packed, order

@@ -1,0 +1,223 @@
+"""Between a surface and its textures: colours at points, texels to points, points of one-rings.
+
+Texture coordinates run right and down and repeat; texel (row, column) has its centre at
+u = (column + ½)/W, v = (row + ½)/H, so u·W − ½ is a column. Colours are sRGB in [0, 1] as float32, textures
+uint8. A point on a surface is a face and three barycentrics (`SurfacePoints`); a zero-area face has no texels
+and the zero normal. Large work goes in chunks: memory is bounded by the result, not by the mesh.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt8
+from scipy.ndimage import distance_transform_edt
+
+from flx.geometry.color import quantized
+from flx.geometry.raster import CHUNK, Pixels, Planes, barycentric_planes, expand, pixels_inside
+from flx.types import SurfacePoints, TexturedMesh
+
+MOST_REPEATS = 16  # of a texture over one face: beyond, texels by the billion would show the same
+WRAP = 8  # texels by which a gutter looks across the border of a repeating texture
+
+
+# --- colours at points
+
+
+# --- texels and points
+
+
+class Atlas(NamedTuple):
+    """Which face each texel of one texture shows; where on the face follows from the coordinates.
+
+    Four bytes a texel. Texels are numbered row by row; `texels`, `rows`, `columns` and `points` list those
+    that show the surface, in that order.
+    """
+
+    faces: Int32[Any, "H W"]  # of the mesh; −1: no surface
+    corners: Float64[Any, "F 3 2"]  # of the mesh's UV triangles, in texels; integers are centres
+    planes: Planes  # their barycentrics
+
+    @property
+    def height(self) -> int:
+        return self.faces.shape[0]
+
+    @property
+    def width(self) -> int:
+        return self.faces.shape[1]
+
+    @property
+    def covered(self) -> Bool[Any, "H W"]:
+        return self.faces >= 0
+
+    @property
+    def texels(self) -> Int[Any, "P"]:
+        return np.flatnonzero(self.covered)
+
+    @property
+    def rows(self) -> Int[Any, "P"]:
+        return self.texels // self.width
+
+    @property
+    def columns(self) -> Int[Any, "P"]:
+        return self.texels % self.width
+
+    @property
+    def points(self) -> SurfacePoints:
+        """The point that each texel shows: 32 bytes a texel, so for large atlases rather `points_at`."""
+        texels = self.texels
+        chunks = [self.points_at(texels[start : start + CHUNK]) for start in range(0, len(texels), CHUNK)]
+        if not chunks:
+            return SurfacePoints(np.zeros(0, np.int64), np.zeros((0, 3)))
+        return SurfacePoints(*map(np.concatenate, zip(*chunks, strict=True)))
+
+    def points_at(self, texels: Int[Any, "N"]) -> SurfacePoints:
+        """The point of its face that each texel's centre shows, or is nearest to where the face is too small.
+
+        Of the repeats of a texel inside one face: the one deepest inside.
+        """
+        faces = self.faces.ravel()[texels].astype(np.int64)
+        y, x = np.divmod(texels, self.width)
+        repeats = self._repeats(faces, x, y)
+        x, y = x + repeats[0][0] * self.width, y + repeats[0][1] * self.height
+        barycentrics = self.planes(faces, x, y)
+        for right, down in repeats[1:]:
+            other = self.planes(faces, x + right * self.width, y + down * self.height)
+            better = other.min(0) > barycentrics.min(0)
+            barycentrics[:, better] = other[:, better]
+        outside = np.flatnonzero(barycentrics.min(0) < 0)  # also where there is no area
+        if len(outside):
+            places = np.stack([x[outside], y[outside]], 1).astype(np.float64)
+            barycentrics[:, outside] = _nearest_on_edges(self.corners[faces[outside]], places).T
+        return SurfacePoints(faces, np.ascontiguousarray(barycentrics.T))
+
+    def _repeats(self, faces: Int[Any, "N"], x: Int[Any, "N"], y: Int[Any, "N"]) -> list[tuple[Any, Any]]:
+        """By how many widths and heights a texel is moved to the middle of its face, and from there on to the
+        other places where the face may repeat it."""
+        if self.corners.min(initial=0) > -1 and (self.corners.max((0, 1)) < [self.width, self.height]).all():
+            return [(0, 0)]
+        size = np.array([self.width, self.height])
+        low, high = (bound(self.corners, 1) / size for bound in (np.min, np.max))
+        right, down = np.round((low + high)[faces].T / 2 - [x / self.width, y / self.height]).astype(np.int64)
+        reach = np.ceil(np.round((high - low)[faces].max(0) / 2 - 0.5, 6)).astype(int)
+        return [(right, down), *(tuple(np.array(n) - reach) for n in np.ndindex(*(2 * reach + 1)))]
+
+
+def _nearest_on_edges(corners: Float64[Any, "N 3 2"], places: Float64[Any, "N 2"]) -> Float64[Any, "N 3"]:
+    """The barycentrics of the point nearest to each place on the outline of its triangle."""
+    nearest, barycentrics = np.full(len(places), np.inf), np.zeros((len(places), 3))
+    for k, after in ((0, 1), (1, 2), (2, 0)):
+        edges, offsets = corners[:, after] - corners[:, k], places - corners[:, k]
+        lengths = np.maximum(np.einsum("nx,nx->n", edges, edges), np.finfo(float).tiny)
+        along = np.clip(np.einsum("nx,nx->n", offsets, edges) / lengths, 0, 1)
+        squares = np.square(offsets - along[:, None] * edges).sum(1)
+        nearer = squares < nearest
+        nearest[nearer] = squares[nearer]
+        barycentrics[nearer] = 0
+        barycentrics[nearer, k], barycentrics[nearer, after] = 1 - along[nearer], along[nearer]
+    return barycentrics
+
+
+def atlas_texels(mesh: TexturedMesh, texture_index: int, height: int, width: int) -> Atlas:
+    """Texels whose centres lie in the UV triangles of one texture; any size, whatever the texture's own.
+
+    UVs outside [0, 1] wrap. A texel that several faces claim (a shared edge, a repeated tile) goes to the
+    first of them. A face too small to hold any centre takes the texels that it touches, where they are free.
+    Raises ValueError for a face that runs over more than `MOST_REPEATS` repeats.
+    """
+    corners = mesh.corner_uvs * [width, height] - 0.5
+    chosen = np.flatnonzero(mesh.face_textures == texture_index)[::-1]  # the last write stays: the first face
+    repeats = np.ptp(mesh.corner_uvs[chosen], axis=1)
+    if repeats.max(initial=0) > MOST_REPEATS:
+        face = chosen[repeats.max(1).argmax()]
+        raise ValueError(
+            f"face {face} runs over {repeats.max():.0f} repeats of texture {texture_index}, at most "
+            f"{MOST_REPEATS} can be painted; unwrap it anew"
+        )
+    faces, met = np.full(height * width, -1, np.int32), np.zeros(len(chosen), bool)
+    for pixels in pixels_inside(corners[chosen]):
+        faces[pixels.rows % height * width + pixels.columns % width] = chosen[pixels.triangles]
+        met[pixels.triangles] = True
+    free, small = faces < 0, chosen[~met]
+    for hits, columns, rows in _outlines(corners[small]):
+        texels = rows % height * width + columns % width
+        claimed = free[texels]
+        faces[texels[claimed]] = small[hits[claimed]]
+    return Atlas(faces.reshape(height, width), corners, barycentric_planes(corners))
+
+
+def _outlines(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
+    """The pixels that the edges of triangles pass through, to half a pixel; a chunk of edges at a time."""
+    corners = corners + 1e-6 * (corners.mean(1, keepdims=True) - corners)  # off the borders of pixels
+    edges = np.roll(corners, -1, axis=1) - corners
+    steps = 1 + np.ceil(2 * np.linalg.norm(edges, axis=2)).astype(np.int64).ravel()
+    starts, edges = corners.reshape(-1, 2), edges.reshape(-1, 2)
+    for sides, number in expand(steps):
+        places = starts[sides] + edges[sides] * (number / np.maximum(steps[sides] - 1, 1))[:, None]
+        columns, rows = np.round(places).astype(np.int64).T
+        yield Pixels(sides // 3, columns, rows)
+
+
+# --- gutters and paint
+
+
+def fill_gutter(
+    image: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"], reach: float = np.inf
+) -> UInt8[Any, "H W 3"]:
+    """Every uncovered texel takes its nearest covered texel's colour, also across the repeating border.
+
+    Farther than `reach` texels from a covered one it stays: other meshes may share the image. A bilinear
+    look-up at the rim of a chart reads half a texel beyond it, one in a smaller copy of the image (a mip
+    level) as far as its texels are large. An image without a covered texel comes back as it is.
+    """
+    filled = image.copy()
+    if covered.all() or not covered.any():
+        return filled
+    margins = [(min(WRAP, size),) * 2 for size in covered.shape]
+    padded = np.pad(~covered, margins, mode="wrap")
+    nearest: Any = distance_transform_edt(padded, return_distances=False, return_indices=True)
+    (top, _), (left, _) = margins
+    height, width = covered.shape
+    for row in range(height):
+        gutter = np.flatnonzero(~covered[row])
+        rows, columns = nearest[:, row + top, gutter + left]
+        near = (rows - row - top) ** 2 + (columns - gutter - left) ** 2 <= reach**2
+        rows, columns, gutter = rows[near], columns[near], gutter[near]
+        filled[row, gutter] = image[(rows - top) % height, (columns - left) % width]
+    return filled
+
+
+def with_filled_gutters(mesh: TexturedMesh) -> TexturedMesh:
+    """The mesh with what lies between the charts of its textures replaced by the nearest chart's colour."""
+    textures = [
+        fill_gutter(image, atlas_texels(mesh, index, *image.shape[:2]).covered)
+        for index, image in enumerate(mesh.textures)
+    ]
+    return mesh._replace(textures=tuple(textures))
+
+
+def paint(
+    atlas: Atlas, colors: Float32[Any, "P 3"], background: UInt8[Any, "H W 3"] | None = None
+) -> UInt8[Any, "H W 3"]:
+    """The texture with these colours at the atlas' texels and filled gutters; colours are clipped to [0, 1].
+
+    `background` (default black), of the atlas' size, is what a texture that no face uses keeps.
+    """
+    image = np.zeros((atlas.height, atlas.width, 3), np.uint8) if background is None else background.copy()
+    if image.shape[:2] != (atlas.height, atlas.width):
+        raise ValueError(
+            f"background has {image.shape[1]}x{image.shape[0]} texels but the atlas has "
+            f"{atlas.width}x{atlas.height}; resize it, or leave it out"
+        )
+    covered = atlas.covered
+    image[covered] = quantized(colors)
+    return fill_gutter(image, covered)
+
+
+# --- points of another surface, points of one-rings
+
+
+def uv_areas(mesh: TexturedMesh) -> Float64[Any, "F"]:
+    """The area of each face on its texture, negative where the texture is seen from behind; v runs down."""
+    u, v = np.moveaxis(mesh.corner_uvs, -1, 0)
+    return ((u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]) - (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0])) / 2

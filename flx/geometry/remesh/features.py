@@ -1,0 +1,53 @@
+"""Boundaries and creases: the curves that remeshing keeps."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+
+from flx.geometry.arrays import area_normals, chunks, dot, length_of, sum_at, unit
+from flx.geometry.topology import Topology, pieces
+
+CREASE = np.cos(np.radians(60.0))  # faces that bend more than 60° meet in a crease
+CURVE = 4  # edges in the shortest crease
+
+
+def features(
+    vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], topo: Topology, least: int = CURVE
+) -> tuple[Bool[Any, "E"], Int[Any, "V"]]:
+    """Which edges are features, and how free each vertex is: 0 on a face, 1 on a curve, 2 at a corner."""
+    feature = topo.boundary.copy()
+    normals = unit(area_normals(vertices, faces))
+    sharp = np.flatnonzero(~feature & (bends(normals, topo) < CREASE))
+    feature[long_curves(topo.edges[sharp], np.ones(len(sharp)), len(vertices), least, sharp)] = True
+    degree = np.bincount(topo.edges[feature].ravel(), minlength=len(vertices))
+    kind = np.where(degree < 2, 0, np.where(degree == 2, 1, 2))
+    kind[_turns(vertices, topo.edges[topo.boundary])] = 2
+    return feature, kind
+
+
+def bends(normals: Float64[Any, "F 3"], topo: Topology) -> Float64[Any, "E"]:
+    """The cosine of the angle between the two faces at each edge, of unit `normals`; no use at boundaries."""
+    cosines = np.empty(len(topo.edges))
+    for rows in chunks(len(cosines)):
+        left, right = topo.corners[rows].T // 3
+        cosines[rows] = dot(np.take(normals, left, 0), np.take(normals, right, 0))
+    return cosines
+
+
+def _turns(vertices, rim):
+    """Boundary vertices where the boundary turns by more than 60°."""
+    if not len(rim):
+        return []
+    a, b = rim.T
+    along = unit(vertices[b] - vertices[a])
+    turn = sum_at(a[:, None], along, len(vertices)) - sum_at(b[:, None], along, len(vertices))
+    return np.flatnonzero(length_of(turn) > 1)
+
+
+def long_curves(
+    edges: Int[Any, "N 2"], lengths: Float64[Any, "N"], count: int, least: float | int, ids: Int[Any, "N"]
+) -> Int[Any, "n"]:
+    """The `ids` of edges in connected curves at least `least` long: sharp specks of a scan are no creases."""
+    curve = pieces(edges, count)[1][edges[:, 0]]
+    return ids[np.bincount(curve, lengths)[curve] >= least] if len(ids) else ids

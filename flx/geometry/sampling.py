@@ -1,0 +1,164 @@
+"""Points on a surface: where they are, the colours there, the closest ones on another triangulation.
+
+A point is a face and three barycentrics (`SurfacePoints`). A zero-area face has the zero normal. Large work
+goes in chunks: memory is bounded by the result, not by the mesh.
+"""
+
+from typing import Any
+
+import igl
+import numpy as np
+from jaxtyping import Float32, Float64, Int, UInt8
+
+from flx.geometry.raster import CHUNK
+from flx.types import SurfacePoints, TexturedMesh, Triangulation
+
+
+def positions(
+    vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], points: SurfacePoints
+) -> Float64[Any, "P 3"]:
+    """Where points of a surface are in space, in the vertices' units."""
+    return np.einsum("pkx,pk->px", vertices[faces[points.faces]], points.barycentrics)
+
+
+def face_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F 3"]:
+    """Unit normals, outward for counter-clockwise faces; zero where a face has no area."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(lengths > 0, lengths, 1.0)
+
+
+def texture_colors(image: UInt8[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Float32[Any, "P 3"]:
+    """Bilinear colours of a repeating texture at any real (u, v); v runs down."""
+    height, width = image.shape[:2]
+    texels = image.reshape(-1, 3)
+    colors = np.empty((len(uvs), 3), np.float32)
+    for start in range(0, len(uvs), CHUNK):
+        x, y = (uvs[start : start + CHUNK] * [width, height] - 0.5).T
+        left, top = np.floor(x), np.floor(y)
+        right_share, low_share = (x - left).astype(np.float32), (y - top).astype(np.float32)
+        left, top = left.astype(np.int64) % width, top.astype(np.int64) % height
+        columns, rows = (left, (left + 1) % width), (top * width, (top + 1) % height * width)
+        chunk = np.zeros((len(x), 3), np.float32)
+        for row, vertical in zip(rows, (1 - low_share, low_share), strict=True):
+            for column, horizontal in zip(columns, (1 - right_share, right_share), strict=True):
+                chunk += texels.take(row + column, axis=0) * (vertical * horizontal)[:, None]
+        colors[start : start + CHUNK] = chunk / np.float32(255)
+    return colors
+
+
+def surface_colors(mesh: TexturedMesh, points: SurfacePoints) -> Float32[Any, "P 3"]:
+    """The colours of points, from the hit face's own corners: a UV seam never mixes two charts."""
+    if not mesh.textures:
+        blend = np.einsum("pkc,pk->pc", mesh.corner_colors[points.faces], points.barycentrics)
+        return blend.astype(np.float32)
+    uvs = np.einsum("pkx,pk->px", mesh.corner_uvs.take(points.faces, 0), points.barycentrics)
+    if len(mesh.textures) == 1:
+        return texture_colors(mesh.textures[0], uvs)
+    textures = mesh.face_textures[points.faces]
+    colors = np.empty((len(uvs), 3), np.float32)
+    for index, image in enumerate(mesh.textures):
+        chosen = np.flatnonzero(textures == index)
+        colors[chosen] = texture_colors(image, uvs[chosen])
+    return colors
+
+
+def locate(
+    points: Float64[Any, "P 3"],
+    normals: Float64[Any, "P 3"] | None,
+    vertices: Float64[Any, "V 3"],
+    faces: Int[Any, "F 3"],
+) -> SurfacePoints:
+    """The closest points on a triangulation; with unit `normals`, on the side that faces as they do.
+
+    On a thin wall the closest face may be the far side's. Where its normal opposes the query's, the query is
+    asked again among faces that agree. Opposed queries are grouped by the nearest of 26 directions; the faces
+    asked lie near enough to the group's direction to agree with every query in it. A query without any such
+    face keeps its first answer.
+    """
+    hits = _closest(points, vertices, faces)
+    if normals is None:
+        return hits
+    targets = face_normals(vertices, faces)
+    opposed = np.flatnonzero(np.einsum("px,px->p", targets[hits.faces], normals) < 0)
+    grid = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1
+    directions = grid / np.linalg.norm(grid, axis=1, keepdims=True)
+    cosines = normals[opposed] @ directions.T
+    nearest = cosines.argmax(1)
+    for group in np.unique(nearest):
+        members = nearest == group
+        spread = np.sqrt(np.maximum(1 - cosines[members, group].min() ** 2, 0))
+        agreeing = np.flatnonzero(targets @ directions[group] > spread)
+        if len(agreeing) == 0:
+            continue
+        again = _closest(points[opposed[members]], vertices, faces[agreeing])
+        hits.faces[opposed[members]] = agreeing[again.faces]
+        hits.barycentrics[opposed[members]] = again.barycentrics
+    return hits
+
+
+def _closest(
+    points: Float64[Any, "P 3"], vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]
+) -> SurfacePoints:
+    _, hits, closest = igl.point_mesh_squared_distance(
+        np.ascontiguousarray(points), np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int64)
+    )
+    faces_hit = np.empty(len(points), np.int64)  # libigl's integer is another of 64 bits
+    faces_hit[:] = np.ravel(hits)
+    closest, barycentrics = np.asarray(closest).reshape(-1, 3), np.empty((len(points), 3))
+    for start in range(0, len(points), CHUNK):
+        part = slice(start, start + CHUNK)
+        barycentrics[part] = _barycentrics(closest[part], vertices[faces[faces_hit[part]]])
+    return SurfacePoints(faces_hit, barycentrics)
+
+
+def _barycentrics(points: Float64[Any, "P 3"], corners: Float64[Any, "P 3 3"]) -> Float64[Any, "P 3"]:
+    """Of points that lie each on its triangle."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    ab, ac, ap = b - a, c - a, points - a
+    dot = lambda x, y: np.einsum("px,px->p", x, y)  # noqa: E731
+    area = np.maximum(dot(ab, ab) * dot(ac, ac) - dot(ab, ac) ** 2, np.finfo(float).tiny)
+    second = (dot(ac, ac) * dot(ap, ab) - dot(ab, ac) * dot(ap, ac)) / area
+    third = (dot(ab, ab) * dot(ap, ac) - dot(ab, ac) * dot(ap, ab)) / area
+    barycentrics = np.clip(np.stack([1 - second - third, second, third], 1), 0, 1)
+    return barycentrics / barycentrics.sum(1, keepdims=True)
+
+
+def ring_points(
+    triangulation: Triangulation, samples: int, rng: np.random.Generator
+) -> tuple[SurfacePoints, Int[Any, "V S"]]:
+    """Points uniform by area in each vertex's one-ring, and which corner of its face the vertex is.
+
+    Stratified: sample s lies in the s-th equal share of the ring's faces laid end to end. The points are
+    flattened, those of vertex v from v·samples on. Every vertex must have a face.
+    """
+    vertices, faces = triangulation
+    fans = np.argsort(faces.ravel(), kind="stable")  # corners, grouped by their vertex
+    ends = np.cumsum(np.bincount(faces.ravel(), minlength=len(vertices)))
+    starts = np.concatenate([[0], ends[:-1]])
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    laid = np.concatenate([[0.0], np.cumsum(areas[fans // 3])])
+    shares = (np.arange(samples) + rng.random((len(vertices), samples))) / samples
+    marks = laid[starts][:, None] + (laid[ends] - laid[starts])[:, None] * shares
+    picked = np.searchsorted(laid, marks.ravel(), side="right").reshape(marks.shape) - 1
+    picked = fans[np.clip(picked, starts[:, None], ends[:, None] - 1)]
+    second, third = rng.random((2, picked.size))
+    folded = second + third > 1
+    second[folded], third[folded] = 1 - second[folded], 1 - third[folded]
+    barycentrics = np.stack([1 - second - third, second, third], 1)
+    return SurfacePoints(picked.ravel() // 3, barycentrics), picked % 3
+
+
+def transfer(
+    points: SurfacePoints,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    onto_vertices: np.ndarray,
+    onto_faces: np.ndarray,
+) -> SurfacePoints:
+    """The closest points of another triangulation that face the same way."""
+    where = positions(vertices, faces, points)
+    normals = face_normals(vertices, faces)[points.faces]
+    return locate(where, normals, onto_vertices, onto_faces)

@@ -1,1 +1,0 @@
-"""Geometry: NumPy, SciPy and libigl in float64; never imports jax."""

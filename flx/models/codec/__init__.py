@@ -1,0 +1,1 @@
+"""The field-latent VAE: the paper's, and ours."""

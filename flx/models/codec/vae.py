@@ -1,0 +1,133 @@
+"""The field-latent VAE: one-ring colours → tangent vectors at the vertex → colours around it.
+
+A ring's code depends on that ring alone, whatever else is in the batch; a point's colour on the codes at the
+corners of its face. The encoder commutes with a change of the vertex's frame, the decoder is invariant.
+"""
+
+from typing import Any, get_args, get_type_hints
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Complex, Float
+
+from flx.config import FLVAE
+from flx.fields import algebra
+from flx.models.codec import frame, interpolated, transformer
+from flx.models.layers import Posterior
+from flx.types import Queries, RingSamples
+
+
+class FieldLatentVAE(nn.Module):
+    """Encoder and decoder. `expand` is a vertex's share of decoding, `blend` and `corners` a point's."""
+
+    config: FLVAE
+
+    def setup(self) -> None:
+        check(self.config)
+        family: Any = FAMILIES[self.config.encoder]
+        self.encoder = family.Encoder(self.config)
+        decoder: Any = interpolated if self.config.decoder == "interpolated" else family
+        self.decoder = decoder.Decoder(self.config)
+
+    def encode(self, rings: RingSamples) -> Posterior:
+        """The code of each one-ring, in the frame of its vertex."""
+        return self.encoder(rings)
+
+    def expand(self, z: Complex[Array, "V D"]) -> Any:
+        """What the decoder makes of each vertex's code, whatever the point: arrays [V, …]."""
+        return self.decoder.expand(z)
+
+    def corners(self, expanded: Any, queries: Queries) -> Float[Array, "P 3 3"]:
+        """The colour that each corner of a point's face predicts there; about [0, 1], not clipped."""
+        return self.decoder(_at_corners(expanded, queries), queries.logs)
+
+    def blend(self, expanded: Any, queries: Queries) -> Float[Array, "P 3"]:
+        """The colour at each point of a triangulation, continuous over its edges; not clipped."""
+        weights = blend_weights(queries.barycentrics, self.config.sharpness)
+        if self.config.decoder == "interpolated":
+            features = jnp.einsum("pk,pkf->pf", weights, _at_corners(expanded, queries))
+            return self.decoder(features)
+        return jnp.einsum("pk,pkc->pc", weights, self.corners(expanded, queries))
+
+    def __call__(self, rings: RingSamples, queries: Queries, key: Array) -> tuple[Array, Array, Posterior]:
+        """Encode, sample and decode at the points of one mesh: the blend, the corners, the posterior."""
+        posterior = self.encode(rings)
+        expanded = self.expand(posterior.sample(key))
+        blended = self.blend(expanded, queries)
+        if self.config.decoder == "interpolated":
+            return blended, blended[:, None], posterior
+        return blended, self.corners(expanded, queries), posterior
+
+
+FAMILIES = {"transformer": transformer, "frame": frame}
+MAY_BE_ZERO = ("invariants", "layers", "depth")  # all other numbers are 1 or more
+
+
+def _at_corners(expanded: Any, queries: Queries) -> Any:
+    return jax.tree.map(lambda a: a[queries.vertices], expanded)
+
+
+def blend_weights(barycentrics: Float[Array, "P 3"], sharpness: float) -> Float[Array, "P 3"]:
+    """λᵢ^s / Σ λ^s: barycentric for s = 1 (paper); the larger s, the more of a face its corners keep."""
+    if sharpness == 1:
+        return barycentrics
+    weights = barycentrics**sharpness
+    return weights / jnp.sum(weights, -1, keepdims=True)
+
+
+def check(config: FLVAE) -> None:
+    """Raises ValueError where a field has no such value, or the fields do not go together."""
+    for name, kind in get_type_hints(FLVAE).items():
+        value, choices = getattr(config, name), get_args(kind)
+        least = 0 if name in MAY_BE_ZERO else 1
+        if choices and value not in choices:
+            raise ValueError(f"model.{name} is {value!r}; say {' or '.join(choices)}")
+        if not choices and not value >= least:
+            raise ValueError(f"model.{name} is {value}; make it {least} or more")
+    invariants, latents, vectors = config.invariants, config.latents, frame.VECTORS
+    if config.encoder == "transformer" and invariants:
+        raise ValueError(
+            f"model.invariants is {invariants}, but the transformer's codes are vectors: make it 0"
+        )
+    if config.encoder == "transformer" and config.channels % config.heads:
+        raise ValueError(
+            f"model.heads is {config.heads}; make it a divisor of model.channels, {config.channels}"
+        )
+    if config.encoder == "frame" and not (1 <= invariants <= 3 and 1 <= latents - invariants <= vectors):
+        raise ValueError(
+            f"model.invariants is {invariants} of {latents} latents; the frame encoder has 1 to 3, "
+            f"and 1 to {vectors} vectors beside them"
+        )
+    if config.decoder == "interpolated" and config.sharpness != 1:
+        raise ValueError(
+            f"model.sharpness is {config.sharpness}, but the interpolated decoder is barycentric: make it 1"
+        )
+
+
+def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:
+    """KL(posterior ‖ standard tangent noise) in nats, summed over the latent channels.
+
+    ½|μ|² + σ² − 1 − ln σ² per complex channel. (The paper prints the opposite sign and counts one of
+    the two real coordinates.)
+    """
+    mean, log_sigma = posterior
+    terms = 0.5 * algebra.squared_modulus(mean) + jnp.exp(2 * log_sigma) - 1 - 2 * log_sigma
+    return jnp.sum(terms, -1)
+
+
+def flvae_loss(
+    colors: Float[Array, "*#P 3"],
+    predicted: Float[Array, "*#P 3"],
+    posterior: Posterior,
+    kl_weight: float,
+) -> tuple[Float[Array, ""], dict[str, Array]]:
+    """L1 summed over RGB plus the weighted KL summed over D, means over all else; with its metrics.
+
+    One colour may be held against several predictions of it, those of a face's corners.
+    """
+    l1 = jnp.mean(jnp.sum(jnp.abs(predicted - colors), -1))
+    kl = jnp.mean(kl_divergence(posterior))
+    psnr = -10 * jnp.log10(jnp.mean((jnp.clip(predicted, 0, 1) - colors) ** 2) + 1e-10)
+    return l1 + kl_weight * kl, {"l1": l1, "kl": kl, "psnr": psnr}

@@ -1,0 +1,160 @@
+"""From latents to an asset: colours decoded wherever the asset shows them, in files and in pictures."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Int32, UInt8
+from PIL import Image
+
+from flx.assets.asset import Asset, Baked
+from flx.assets.formats.files import limit
+from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
+from flx.geometry.color import quantized
+from flx.geometry.copies import queries_at
+from flx.geometry.render import contact_sheet, look, show
+from flx.geometry.sampling import transfer
+from flx.geometry.tangent import tangent_frames
+from flx.pipeline.codec import Codec
+from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
+
+LARGEST = 2048  # pixels on the longer side of an atlas, unless more are asked for
+SMALLEST = 16  # that may be asked for
+# Of an atlas, filled around charts: enough for its copies of 32 pixels and more.
+GUTTER = 1 / 32
+CHUNK = 1 << 18  # texels decoded at a time
+VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
+
+
+class Canvas(NamedTuple):
+    """Where an asset shows colours, and where that is on the triangulation that carries the latents.
+
+    16 bytes a texel: what the decoder asks for besides is made as it is decoded.
+    """
+
+    asset: Asset
+    triangulation: Triangulation
+    atlases: tuple[Atlas | None, ...]  # None: a flat material, left alone
+    faces: Int32[Any, "P"]  # of the triangulation; the texels of all atlases in turn, or the vertices
+    barycentrics: Float32[Any, "P 3"]
+
+
+def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | None = None) -> Canvas:
+    """Find every texel (or vertex) of the asset on the triangulation.
+
+    `texture_size`: pixels on the longer side; None: as the input has, at most `LARGEST`.
+    """
+    mesh = asset.mesh
+    atlases = tuple(
+        None if texture.flat else atlas_texels(mesh, index, *atlas_size(image, texture_size))
+        for index, (texture, image) in enumerate(zip(asset.textures, mesh.textures, strict=True))
+    )
+    count = sum(int(atlas.covered.sum()) for atlas in atlases if atlas) or len(_vertex_points(asset)[0])
+    faces, barycentrics, start = np.empty(count, np.int32), np.empty((count, 3), np.float32), 0
+    for points in _shown_points(asset, atlases):
+        hits = transfer(points, mesh.vertices, mesh.faces, triangulation.vertices, triangulation.faces)
+        chunk = slice(start, start + len(hits.faces))
+        faces[chunk], barycentrics[chunk] = hits
+        start = chunk.stop
+    return Canvas(asset, triangulation, atlases, faces, barycentrics)
+
+
+def _shown_points(asset: Asset, atlases: Sequence[Atlas | None]) -> Iterator[SurfacePoints]:
+    if not atlases:
+        yield _vertex_points(asset)[1]
+    for atlas in filter(None, atlases):
+        texels = atlas.texels
+        for start in range(0, len(texels), CHUNK):
+            yield atlas.points_at(texels[start : start + CHUNK])
+
+
+def check_size(texture_size: int | None) -> None:
+    """Raises ValueError for an atlas of fewer pixels than its metrics look at, or more than one may have."""
+    longest = int(limit("FLX_MAX_PIXELS") ** 0.5)
+    if texture_size is not None and not SMALLEST <= texture_size <= longest:
+        raise ValueError(f"--texture-size is {texture_size}; give {SMALLEST} to {longest} pixels")
+
+
+def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[int, int]:
+    """Height and width of a new atlas: the input's shape, its longer side as asked."""
+    longer = max(image.shape[:2])
+    wanted = texture_size or min(longer, LARGEST)
+    height, width = (max(1, round(side * wanted / longer)) for side in image.shape[:2])
+    return height, width
+
+
+def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Baked:
+    """Decode the latents at every texel, or at every vertex."""
+    return painted(canvas, map(codec.decoder(z), chunks(canvas)))
+
+
+def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Baked:
+    """Colours of the canvas' `chunks` as images with filled gutters, or as colours of vertices."""
+    asset = canvas.asset
+    if not canvas.atlases:
+        whole = _own_colors(asset)
+        whole[_vertex_points(asset)[0]] = np.concatenate(list(colors))
+        return Baked((), whole)
+    images = []
+    for atlas, image in zip(canvas.atlases, asset.mesh.textures, strict=True):
+        if atlas is None:
+            images.append(image)
+            continue
+        new, texels = resized(image, atlas.height, atlas.width).copy(), atlas.texels
+        for start in range(0, len(texels), CHUNK):
+            new.reshape(-1, 3)[texels[start : start + CHUNK]] = quantized(next(colors))
+        images.append(fill_gutter(new, atlas.covered, max(2.0, GUTTER * max(atlas.height, atlas.width))))
+    return Baked(tuple(images), np.zeros((0, 3), np.float32))
+
+
+def chunks(canvas: Canvas) -> Iterator[Queries]:
+    """The points of the canvas, at most `CHUNK` at a time; no chunk crosses from one atlas to the next."""
+    frames, start = tangent_frames(canvas.triangulation), 0
+    counts = [int(atlas.covered.sum()) for atlas in canvas.atlases if atlas] or [len(canvas.faces)]
+    for end in np.cumsum(counts):
+        while start < end:
+            chunk = slice(start, min(start + CHUNK, int(end)))
+            hits = SurfacePoints(canvas.faces[chunk], canvas.barycentrics[chunk].astype(np.float64))
+            yield queries_at(hits, canvas.triangulation, frames)
+            start = chunk.stop
+
+
+def bake_back(asset: Asset) -> Baked:
+    """The asset's own colours."""
+    return Baked(asset.mesh.textures, _own_colors(asset))
+
+
+def resized(image: UInt8[Any, "H W 3"], height: int, width: int) -> UInt8[Any, "_ _ 3"]:
+    """The image at another size, each pixel the mean of what it covers."""
+    if image.shape[:2] == (height, width):
+        return image
+    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))
+
+
+def shown(asset: Asset, baked: Baked) -> TexturedMesh:
+    """The asset's surface with the new colours, to be rendered."""
+    if baked.images:
+        return asset.mesh._replace(textures=baked.images)
+    return asset.mesh._replace(corner_colors=baked.colors[asset.corner_vertices])
+
+
+def side_by_side(
+    asset: Asset, baked: Sequence[Baked], captions: Sequence[str], up: str, size: int = 384
+) -> UInt8[Any, "_ _ 3"]:
+    """Renders of the input and of each new texture in columns, a view in each row."""
+    meshes = [asset.mesh, *(shown(asset, b) for b in baked)]
+    views = [look(asset.mesh, a, e, size, up) for a, e in VIEWS]  # pyright: ignore
+    rows = [[show(view, mesh) for mesh in meshes] for view in views]
+    return contact_sheet(rows, ["input", *captions])
+
+
+def _vertex_points(asset: Asset) -> tuple[np.ndarray, SurfacePoints]:
+    """The original vertices that faces use, and one corner of the surface where each is."""
+    vertices, first = np.unique(asset.corner_vertices, return_index=True)
+    return vertices, SurfacePoints(first // 3, np.eye(3)[first % 3])
+
+
+def _own_colors(asset: Asset) -> Float32[Any, "V 3"]:
+    colors = np.zeros((asset.report.vertices_read, 3), np.float32)
+    colors[asset.corner_vertices.ravel()] = asset.mesh.corner_colors.reshape(-1, 3)
+    return colors

@@ -1,0 +1,128 @@
+"""From a textured mesh to what the denoiser trains on: triangulated copies and their latents, on disk."""
+
+import hashlib
+import os
+import zipfile
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex64
+from tqdm import tqdm
+
+from flx.assets.asset import Asset
+from flx.config import Surface
+from flx.files import write_atomically
+from flx.geometry import copies
+from flx.geometry.atlas import with_filled_gutters
+from flx.pipeline.codec import Codec
+from flx.types import MeshTables, OneRings, Pooling, TexturedMesh, Triangulation
+
+MOST_WORKERS = 8  # a worker holds the mesh and its textures
+
+
+class Prepared(NamedTuple):
+    """A copy as training and sampling see it."""
+
+    triangulation: Triangulation
+    tables: MeshTables
+    latents: Complex64[np.ndarray, "V D"]
+
+
+class Cache(NamedTuple):
+    """Prepared copies of one asset by one codec, a file for each seed."""
+
+    folder: Path
+    key: str
+
+    def path(self, seed: int) -> Path:
+        return self.folder / f"{self.key}-{seed:04d}.npz"
+
+    def has(self, seed: int) -> bool:
+        return self.path(seed).exists() and self._tables(seed).exists()
+
+    def _tables(self, seed: int) -> Path:
+        return self.path(seed).with_suffix(".tables.npz")
+
+    def save(self, seed: int, copy: Prepared) -> None:
+        save_tables(self._tables(seed), copy.tables)
+        rest = {**copy.triangulation._asdict(), "latents": copy.latents}
+        write_atomically(self.path(seed), lambda path: np.savez(path, **rest))
+
+    def load(self, seed: int) -> Prepared:
+        with np.load(self.path(seed), allow_pickle=False) as arrays:
+            triangulation = Triangulation(arrays["vertices"], arrays["faces"])
+            return Prepared(triangulation, load_tables(self._tables(seed)), arrays["latents"])
+
+
+def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Cache:
+    """The cache of copies that hang on these contents and no others."""
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = (asset.digest, surface.vertices, surface.slots, codec.config, codec.digest())
+    return Cache(folder, hashlib.sha256(repr(parts).encode()).hexdigest()[:12])
+
+
+def prepare(cache: Cache, asset: Asset, surface: Surface, codec: Codec) -> None:
+    """Make the copies that the cache lacks, in a process pool; each is there whole or not at all."""
+    seeds = [surface.seed + k for k in range(surface.copies)]
+    missing = [seed for seed in seeds if not cache.has(seed)]
+    if not missing:
+        return
+    mesh = with_filled_gutters(asset.mesh)
+    made = _copies(mesh, surface, codec.config.samples, missing)
+    for seed, copy in tqdm(made, total=len(missing), desc="copies", unit="copy", dynamic_ncols=True):
+        cache.save(seed, Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings)))
+
+
+def _copies(
+    mesh: TexturedMesh, surface: Surface, samples: int, seeds: list[int]
+) -> Iterator[tuple[int, copies.Copy]]:
+    """Copies as they are ready. The pool spawns: forking a process that has started JAX can deadlock."""
+    workers = min(MOST_WORKERS, os.cpu_count() or 1, len(seeds))
+    if workers == 1:
+        for seed in seeds:
+            yield seed, copies.make_copy(mesh, surface.vertices, samples, surface.slots, seed)
+        return
+    with ProcessPoolExecutor(workers, get_context("spawn"), copies.begin, (mesh,)) as pool:
+        args = (surface.vertices, samples, surface.slots)
+        waiting = {pool.submit(copies.make_copy_here, *args, seed): seed for seed in seeds}
+        try:
+            for done in as_completed(waiting):
+                yield waiting.pop(done), done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def save_tables(path: str | os.PathLike, tables: MeshTables) -> None:
+    """Write an npz whole or not at all: a reader never meets half a file."""
+    arrays = {
+        f"{level}.{name}": array
+        for level, parts in tables._asdict().items()
+        for name, array in parts._asdict().items()
+    }
+
+    def write(torn: Path) -> None:
+        with open(torn, "wb") as file:  # to a path without .npz, NumPy would add it
+            np.savez(file, **arrays)
+
+    write_atomically(Path(path), write)
+
+
+def load_tables(path: str | os.PathLike) -> MeshTables:
+    """Read what `save_tables` wrote.
+
+    Raises:
+      ValueError: the file is damaged or holds something else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return MeshTables(
+                fine=OneRings(*(file[f"fine.{name}"] for name in OneRings._fields)),
+                pooling=Pooling(*(file[f"pooling.{name}"] for name in Pooling._fields)),
+                coarse=OneRings(*(file[f"coarse.{name}"] for name in OneRings._fields)),
+            )
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} holds no mesh tables ({error}); delete it and prepare again") from error

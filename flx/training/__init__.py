@@ -1,0 +1,1 @@
+"""Training: run folders, checkpoints, the loop, and what each model learns from."""

@@ -1,0 +1,55 @@
+"""Train a field-latent VAE on patches of images."""
+
+from pathlib import Path
+from typing import Any
+
+from jax import Array
+
+from flx.config import FLVAEExperiment
+from flx.models.codec import frame
+from flx.models.codec.vae import FieldLatentVAE, check, flvae_loss
+from flx.pipeline.codec import Codec, initial_params, save_codec
+from flx.pipeline.patches import VERTICES, ImagePatches, PatchBatch, first_rings
+from flx.training.loop import LossFn, train
+from flx.training.run import Run, open_run
+
+
+def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
+    """Train a field-latent VAE on a folder of images; the run folder gets `flvae.safetensors`."""
+    check(experiment.model)  # before a run folder is made for it
+    patches = ImagePatches(experiment.images, experiment.model, experiment.train.batch)
+    run = open_run(root, experiment, patches.digest)
+    state = train(
+        run, experiment.train, starting_params(experiment, patches), image_loss(experiment), patches
+    )
+    card = {
+        "steps": str(experiment.train.steps),
+        "rings": str(experiment.train.steps * experiment.train.batch * VERTICES),
+        "images": str(len(patches.images)),
+        "kl_weight": str(experiment.kl_weight),
+    }
+    save_codec(run.folder / "flvae.safetensors", Codec(experiment.model, state.ema), card)
+    return run
+
+
+def image_loss(experiment: FLVAEExperiment) -> LossFn:
+    """The loss on the colours at a batch's points: of the blend there, or of what each corner says alone."""
+    model = FieldLatentVAE(experiment.model)
+
+    def loss(params: Any, batch: PatchBatch, key: Array) -> tuple[Array, dict[str, Array]]:
+        answer: Any = model.apply(params, batch.rings, batch.queries, key)
+        blended, corners, posterior = answer
+        if experiment.learns == "blend":
+            return flvae_loss(batch.colors, blended, posterior, experiment.kl_weight)
+        return flvae_loss(batch.colors[:, None], corners, posterior, experiment.kl_weight)
+
+    return loss
+
+
+def starting_params(experiment: FLVAEExperiment, patches: ImagePatches) -> Any:
+    """Random parameters; those of the frame codec start from the principal components of real rings."""
+    params = initial_params(experiment.model, experiment.train.seed)
+    if experiment.model.encoder != "frame":
+        return params
+    # Batches that no step of the training sees.
+    return frame.start_from_principal_components(params, first_rings(patches, experiment.train.steps))

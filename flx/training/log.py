@@ -1,0 +1,108 @@
+"""What a training tells as it goes: metrics.csv, TensorBoard's events and the progress bar.
+
+The rows of metrics.csv part the steps: a row is the mean over the steps since the row before.
+"""
+
+import csv
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+from jax import Array
+from tensorboardX import SummaryWriter
+from tqdm import tqdm
+
+from flx.config import Train
+from flx.files import write_atomically
+from flx.training.checkpoint import Checkpoints
+from flx.training.run import Run
+
+_SILENCE = 30.0  # most seconds without a word where there is no terminal for a progress bar
+
+
+class Log:
+    """metrics.csv, TensorBoard's events and the progress bar; the watch on numbers that are not finite."""
+
+    def __init__(self, run: Run, config: Train, done: int, checkpoints: Checkpoints):
+        self._run, self._config, self._first, self._checkpoints = run, config, done, checkpoints
+        self._columns = _drop_rows_after(run.metrics, done)
+        self._rows: list[dict[str, float]] = []  # of the steps since the last row on disk
+        self._step = done
+        self._events = SummaryWriter(str(run.events), purge_step=done + 1)
+        terminal = sys.stderr.isatty()
+        self._bar = tqdm(
+            total=config.steps, initial=done, unit="step", dynamic_ncols=True, disable=not terminal
+        )
+        self._began = self._row_began = self._spoke = time.monotonic()
+
+    def __enter__(self) -> "Log":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._bar.close()
+        self._events.close()
+
+    def add(self, step: int, scalars: dict[str, Array]) -> None:
+        """Take the scalars of a step, waiting for it; raise FloatingPointError where one is not finite."""
+        scalars = jax.device_get(scalars)
+        values = {name: float(scalars[name]) for name in ("loss", *scalars)}
+        if wrong := [f"{name} = {value}" for name, value in values.items() if not math.isfinite(value)]:
+            raise FloatingPointError(self._not_finite(step, ", ".join(wrong)))
+        self._step = step
+        self._rows.append(values)
+        self._show(values["loss"])
+        if step % self._config.log_every == 0:
+            self.write()
+
+    def write(self) -> None:
+        """End a row: the means over the steps since the last one."""
+        if not self._rows:
+            return
+        now = time.monotonic()
+        means = {name: sum(row[name] for row in self._rows) / len(self._rows) for name in self._rows[0]}
+        means["seconds"] = (now - self._row_began) / len(self._rows)  # a step, waiting for batches included
+        for name, mean in means.items():
+            self._events.add_scalar(name, mean, self._step)
+        with open(self._run.metrics, "a", newline="") as file:
+            columns = self._columns or ["step", *means]
+            rows = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
+            if not self._columns:
+                rows.writeheader()
+            rows.writerow({"step": self._step} | {name: f"{mean:.7g}" for name, mean in means.items()})
+        self._columns, self._rows, self._row_began = columns, [], now
+
+    def _show(self, loss: float) -> None:
+        self._bar.set_postfix_str(f"loss {loss:.4g}", refresh=False)
+        self._bar.update()
+        now = time.monotonic()
+        if self._bar.disable and now - self._spoke >= _SILENCE:
+            pace = (now - self._began) / (self._step - self._first)
+            left = tqdm.format_interval(pace * (self._config.steps - self._step))
+            say(f"step {self._step}/{self._config.steps}, loss {loss:.4g}, {pace:.3g} s a step, {left} left")
+            self._spoke = now
+
+    def _not_finite(self, step: int, wrong: str) -> str:
+        kept = self._checkpoints.latest_step
+        saved = "there is no checkpoint yet" if kept is None else f"the last checkpoint is step {kept}"
+        clip = "lower train.clip" if self._config.clip else "set train.clip to 1"
+        return (
+            f"{self._run.folder}: step {step} gave {wrong}; {saved}; lower train.learning_rate "
+            f"({self._config.learning_rate:g}) or {clip}, under another --name"
+        )
+
+
+def _drop_rows_after(metrics: Path, done: int) -> list[str]:
+    """Keep the rows of a metrics.csv up to step `done`, as far as they are whole; return its columns."""
+    if not metrics.exists():
+        return []
+    lines = [line for line in metrics.read_text().splitlines(keepends=True) if line.endswith("\n")]
+    kept = lines[:1] + [line for line in lines[1:] if int(line.split(",")[0]) <= done]
+    write_atomically(metrics, "".join(kept).encode())
+    return kept[0].strip().split(",") if kept else []
+
+
+def say(message: str) -> None:
+    tqdm.write(message, file=sys.stderr)  # beside a progress bar, not through it

@@ -1,0 +1,163 @@
+"""One training loop for both models: Adam or Muon, a cosine schedule, averaged parameters, checkpoints.
+
+Step n (from 0) sees `batches(n)` and the key `fold_in(seed, n)`, whatever happened before it: a run that was
+killed and called again takes the steps it would have taken. "Step" in metrics.csv, in messages and in the
+names of checkpoints is the number of steps done. The rows of metrics.csv part the steps: a row is the mean
+over the steps since the row before, and a checkpoint ends a row.
+"""
+
+import contextlib
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+from jaxtyping import Int32, UInt32
+
+from flx.config import Train
+from flx.training.checkpoint import Checkpoints
+from flx.training.log import Log, say
+from flx.training.optimizer import learning_rate, make_optimizer
+from flx.training.run import Run, only_trainer
+
+LossFn = Callable[[Any, Any, Array], tuple[Array, dict[str, Array]]]  # parameters, batch, key → loss, metrics
+Batches = Callable[[int], Any]  # step → arrays, always the same for a step
+
+
+class TrainState(NamedTuple):
+    """All that the next step hangs on. `Any` is a pytree of arrays."""
+
+    step: Int32[Any, ""]  # steps done
+    params: Any
+    ema: Any  # the average that sampling uses; like `params`
+    optimizer: Any
+    key: UInt32[Any, "2"]  # of the run
+
+
+def initial_state(config: Train, init_params: Any) -> TrainState:
+    """The state before the first step; each leaf is a copy, because a step takes the buffers of its state."""
+    params, ema = jax.tree.map(jnp.array, init_params), jax.tree.map(jnp.array, init_params)
+    key = jax.random.key_data(jax.random.key(config.seed))
+    return TrainState(jnp.int32(0), params, ema, make_optimizer(config).init(params), key)
+
+
+def restore(run: Run, config: Train, init_params: Any) -> TrainState:
+    """The newest checkpoint of a run, as NumPy arrays; `init_params` may be `jax.ShapeDtypeStruct`s.
+
+    Raises ValueError where the run has no checkpoint, or one of another network.
+    """
+    template = jax.eval_shape(lambda params: initial_state(config, params), init_params)
+    with Checkpoints(run.checkpoints) as checkpoints:
+        restored = checkpoints.restore_latest(template)
+    if restored is None:
+        raise ValueError(f"{run.folder} has no checkpoint yet; train it first with `flx train`")
+    return restored[1]
+
+
+def make_step(
+    config: Train, loss_fn: LossFn
+) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, Array]]]:
+    """One step: `(state, batch) → (next state, scalars)`. Pure; `jit` it.
+
+    The decay of the average is min(ema, (1 + n)/(10 + n)) at step n: it soon forgets the initial parameters.
+    """
+    optimizer = make_optimizer(config)
+
+    def step(state: TrainState, batch: Any) -> tuple[TrainState, dict[str, Array]]:
+        n = state.step
+        key = jax.random.fold_in(jax.random.wrap_key_data(state.key), n)
+        (loss, metrics), gradient = jax.value_and_grad(loss_fn, has_aux=True)(state.params, batch, key)
+        updates, moments = optimizer.update(gradient, state.optimizer, state.params)
+        params = optax.apply_updates(state.params, updates)
+        decay = jnp.minimum(config.ema, (1 + n) / (10 + n))
+        ema = jax.tree.map(lambda average, p: average + (1 - decay) * (p - average), state.ema, params)
+        # The norm is there to be plotted, and because a finite loss may have a gradient that is not.
+        scalars = {"loss": loss, "gradient_norm": optax.global_norm(gradient)}
+        scalars |= {"learning_rate": learning_rate(config, n), **metrics}
+        return TrainState(n + 1, params, ema, moments, state.key), scalars
+
+    return step
+
+
+def train(run: Run, config: Train, init_params: Any, loss_fn: LossFn, batches: Batches) -> TrainState:
+    """Train from the newest checkpoint, or from `init_params`, to `config.steps`; return the state there.
+
+    `loss_fn(params, batch, key) → (loss, scalars by name)` is pure; `batches(step)` is a pytree of fresh
+    arrays, of the same shapes at each step, made in a thread of its own. On SIGTERM or SIGINT the state is
+    saved and SystemExit(128 + signal) raised. Raises FloatingPointError at the first step with a number that
+    is not finite (the checkpoint before it stays), and ValueError where another process trains here.
+    """
+    with only_trainer(run), Checkpoints(run.checkpoints, writer=True) as checkpoints:
+        state = initial_state(config, init_params)
+        if restored := checkpoints.restore_latest(state):
+            state = jax.device_put(restored[1])
+            say(f"{run.folder}: resumed at step {restored[0]} of {config.steps}")
+        done = int(state.step)
+        if done >= config.steps:
+            return state
+        with _Stop() as stop, contextlib.closing(_prefetch(batches, done, config.steps)) as feed:
+            batch = next(feed)
+            began = time.monotonic()
+            step = jax.jit(make_step(config, loss_fn), donate_argnums=0).lower(state, batch).compile()
+            say(f"{run.folder}: compiled the train step in {time.monotonic() - began:.1f} s")
+            with Log(run, config, done, checkpoints) as log:
+                under_way = None  # the scalars of the step that the device works on
+                while True:
+                    state, scalars = step(state, batch)
+                    if under_way:
+                        log.add(done, under_way)  # waits for the step before: the host runs one step ahead
+                    done, under_way = done + 1, scalars
+                    last = done == config.steps or stop.signal is not None
+                    if last or done % config.checkpoint_every == 0:
+                        log.add(done, under_way)  # first: a state that is not finite is never saved
+                        log.write()
+                        checkpoints.save(done, state)
+                        under_way = None
+                    if last:
+                        break
+                    batch = next(feed)
+        if stop.signal is not None and done < config.steps:
+            checkpoints.wait()
+            say(f"{run.folder}: stopped, saved at step {done}; the same command goes on from there")
+            raise SystemExit(128 + stop.signal)
+        return state
+
+
+def _prefetch(batches: Batches, first: int, last: int, depth: int = 2) -> Generator[Any, None, None]:
+    """The batches of steps [first, last) on the device, made `depth` ahead; raises what `batches` raises."""
+    pool = ThreadPoolExecutor(1, thread_name_prefix="batches")
+    waiting = deque()
+    try:
+        for step in range(first, last + depth):
+            if step < last:
+                waiting.append(pool.submit(lambda n: jax.device_put(batches(n)), step))
+            if step >= first + depth:
+                yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+class _Stop:
+    """While open, the first SIGTERM or SIGINT is only noted in `signal`; a second one does its usual work."""
+
+    def __enter__(self) -> "_Stop":
+        self.signal: int | None = None
+        self._usual = {}
+        if threading.current_thread() is threading.main_thread():  # elsewhere Python takes no handlers
+            self._usual = {s: signal.signal(s, self._note) for s in (signal.SIGTERM, signal.SIGINT)}
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        for number, handler in self._usual.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _: Any) -> None:
+        self.signal = number
+        self.__exit__()

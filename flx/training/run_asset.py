@@ -1,0 +1,73 @@
+"""The asset of a run: read from where the experiment says, and kept in the run folder, whole.
+
+`asset/files/` holds the mesh with every file that it needs, `asset/texture/` the image that was given instead
+of its own. They are read as the originals were, and give the same bits. (Older runs have `asset/asset.glb`.)
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from flx.assets.asset import Asset
+from flx.assets.formats import glb
+from flx.assets.formats.files import inside, read_file
+from flx.assets.formats.gltf import Gltf
+from flx.assets.formats.obj_source import ObjSource, write_copy
+from flx.assets.read import read_asset
+from flx.assets.vase import write_vase
+from flx.config import Surface
+from flx.files import write_atomically
+from flx.training.run import Run
+
+
+def read_source(surface: Surface) -> Asset:
+    """The asset that the experiment names, or the embedded vase."""
+    if surface.path:
+        return read_asset(surface.path, surface.texture)
+    with TemporaryDirectory() as folder:
+        write_vase(Path(folder) / "vase.glb")
+        return read_asset(Path(folder) / "vase.glb")
+
+
+def keep(asset: Asset, run: Run, surface: Surface) -> Asset:
+    """Copy the asset that `read_source` gave into its run, unless it is there; return the copy."""
+    path, texture = _places(run, surface)
+    if not path.exists() and not _old(run).exists():
+        if texture is not None:
+            write_atomically(texture, read_file(Path(surface.texture or "")))
+        _copy(asset, path, given=texture is not None)  # last: where it is, all is
+    return read_kept(run, surface)
+
+
+def read_kept(run: Run, surface: Surface) -> Asset:
+    """The run's own copy of its asset."""
+    if _old(run).exists():
+        return read_asset(_old(run))
+    return read_asset(*_places(run, surface))
+
+
+def _places(run: Run, surface: Surface) -> tuple[Path, Path | None]:
+    """Of the mesh, and of the texture that was given."""
+    path = run.asset / "files" / (Path(surface.path).name or "vase.glb")
+    if path.suffix.lower() == ".gltf":
+        path = path.with_suffix(".glb")
+    return path, run.asset / "texture" / Path(surface.texture).name if surface.texture else None
+
+
+def _old(run: Run) -> Path:
+    return run.asset / "asset.glb"
+
+
+def _copy(asset: Asset, path: Path, given: bool) -> None:
+    """A glTF becomes one GLB with all its buffers and images; an OBJ and a PLY take theirs along.
+
+    The images of a PLY are needed only where no texture was given.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(asset.container, Gltf):
+        write_atomically(path, glb.glb_bytes(asset.container))
+    elif isinstance(asset.container, ObjSource):
+        write_copy(asset.container, path)
+    else:
+        for name in [] if given else [texture.name for texture in asset.textures]:
+            write_atomically(inside(path.parent, name), read_file(inside(asset.path.parent, name)))
+        write_atomically(path, read_file(asset.path))
