@@ -6,21 +6,13 @@ flx sample runs/bowl --count 4
 On two CPU cores a step takes 0.8 s, all of it 40 minutes. The loss, 1 for an answer of zero, ends near 0.7.
 """
 
-from flx.config import FLDM, FLDMExperiment, Surface, Train
+from dataclasses import replace
 
-config = FLDMExperiment(
-    name="bowl",
-    model=FLDM(network="mixed", channels=48, predicts="velocity", precision="float32"),
+from flx.config import Surface, quick
+
+demo = quick(name="bowl")
+config = replace(
+    demo,
     surface=Surface(path="akita_black_bowl.obj", vertices=10_000, copies=8, up="z"),
-    train=Train(
-        steps=3000,
-        batch=1,
-        optimizer="muon",
-        learning_rate=1.6e-2,
-        final_learning_rate=1e-4,
-        warmup=50,
-        clip=1.0,
-        ema=0.995,
-        checkpoint_every=100,
-    ),
+    train=replace(demo.train, steps=3000),
 )

@@ -1,31 +1,11 @@
-"""A vase that flx paints itself, learnt at 5K vertices in about 11 minutes of 2 CPU cores.
+"""A vase that flx paints itself, learnt at 5K vertices in about 11 minutes of two CPU cores.
 
   flx train experiments/demo.py && flx sample runs/demo --count 4
-  flx train experiments/demo.py --surface.path YOUR.glb      the same on your own mesh
+  flx train YOUR.glb && flx sample runs/YOUR --count 4             the same settings on your own mesh
 
 The loss, 1 for an answer of zero, ends near 0.7.
 """
 
-from flx.config import FLDM, FLDMExperiment, Surface, Train
+from flx.config import quick
 
-config = FLDMExperiment(
-    name="demo",
-    model=FLDM(
-        network="mixed",  # the released codes have invariant channels
-        predicts="velocity",  # this and Muon: README, "Where we depart from it"
-        channels=48,  # paper: 96; what two cores can train in minutes
-        precision="float32",  # bfloat16 is faster only where the CPU has AMX
-    ),
-    surface=Surface(vertices=5000, copies=8),
-    train=Train(
-        steps=2400,
-        batch=1,
-        optimizer="muon",
-        learning_rate=1.6e-2,
-        final_learning_rate=1e-4,
-        warmup=50,
-        clip=1.0,
-        ema=0.995,
-        checkpoint_every=100,
-    ),
-)
+config = quick()

@@ -7,7 +7,7 @@ from flx.config import FLDM, FLDMExperiment, Surface, Train
 
 config = FLDMExperiment(
     name="smoke",
-    model=FLDM(network="mixed", channels=16, embedding=32, precision="float32"),
+    model=FLDM(channels=16, embedding=32, precision="float32"),
     surface=Surface(vertices=800, copies=2),
     train=Train(steps=30, batch=1, ema=0.9, checkpoint_every=10, log_every=10),
 )

@@ -5,12 +5,15 @@ overrides single fields from the command line. A line there that differs from he
 their range are refused when they are set, before anything is prepared.
 """
 
+import contextlib
 import importlib.util
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Literal
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 Precision = Literal["bfloat16", "float32"]
+Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
@@ -50,16 +53,18 @@ class FLVAE:
 class FLDM:
     """The field-latent diffusion model (paper, section 4 and supplement B.2)."""
 
-    network: Literal["vectors", "mixed"] = "vectors"  # the paper's; ours for codes with invariant channels
-    latents: int = 8  # this and the next are the FL-VAE's when a mesh is learnt
-    invariants: int = 0
+    # "vectors" is the paper's network, "mixed" is ours for codes with invariant channels. Like the next two
+    # and `blocks`, None means: as the FL-VAE's codes and the number of vertices need it.
+    network: Literal["vectors", "mixed"] | None = None
+    latents: int | None = None
+    invariants: int | None = None
     channels: int = 96  # of the fine level; the coarse level has twice as many
     filter: Literal["harmonic", "mlp"] = "harmonic"  # ours, twice as fast; "mlp" is the paper's
     filter_width: int = 8  # channels inside the filter
     vn_layers: int = 3  # layers of each VN MLP
     embedding: int = 128  # width of the scalar embedding π
     conditions: int = 0  # m, real conditions ρ at each vertex
-    blocks: tuple[int, int, int] | None = None  # fine in, coarse, fine out; None: from the vertex count
+    blocks: Blocks | None = None
     predicts: Literal["noise", "velocity"] = "noise"  # the paper's; ours for short trainings
     steps: int = 1000  # T
     beta_start: float = 1e-4  # linear schedule: ᾱ_T = 4e-5
@@ -67,8 +72,18 @@ class FLDM:
     precision: Precision = "bfloat16"
 
     def __post_init__(self) -> None:
-        _check("model", self, latents=1, invariants=0, channels=1, filter_width=1, vn_layers=1, embedding=1)
-        _check("model", self, conditions=0, steps=1, beta_start=0, beta_end=0)
+        _check("model", self, channels=1, filter_width=1, vn_layers=1, embedding=1, conditions=0, steps=1)
+        _check("model", self, beta_start=0, beta_end=0)
+
+    @property
+    def code_channels(self) -> tuple[int, int]:
+        """How many channels of a code are vectors, and how many invariants.
+
+        Raises ValueError where they are still open (see `flx.models.denoiser.depth.complete`).
+        """
+        if self.latents is None:
+            raise ValueError("model.latents is open; complete the model for an FL-VAE first")
+        return self.latents - (self.invariants or 0), self.invariants or 0
 
 
 @dataclass(frozen=True)
@@ -152,6 +167,31 @@ class FLDMExperiment:
 Experiment = FLVAEExperiment | FLDMExperiment
 
 
+def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
+    """A mesh learnt at 5K vertices in about 11 minutes of two CPU cores; without a path, the embedded vase.
+
+    Velocities and Muon learn more than the paper's noise and Adam in so few steps (docs/paper.md). 48
+    channels where the paper has 96: what two cores can train in minutes. float32: bfloat16 is faster only on
+    CPUs with AMX.
+    """
+    return FLDMExperiment(
+        name=name,
+        model=FLDM(predicts="velocity", channels=48, precision="float32"),
+        surface=Surface(path=path, vertices=5000, copies=8),
+        train=Train(
+            steps=2400,
+            batch=1,
+            optimizer="muon",
+            learning_rate=1.6e-2,
+            final_learning_rate=1e-4,
+            warmup=50,
+            clip=1.0,
+            ema=0.995,
+            checkpoint_every=100,
+        ),
+    )
+
+
 def read_config(path: Path) -> Experiment:
     """Run an experiment file, with the user's rights, and return its `config`.
 
@@ -167,3 +207,33 @@ def read_config(path: Path) -> Experiment:
     if not isinstance(config, FLVAEExperiment | FLDMExperiment):
         raise ValueError(f"{path} defines no experiment; let it set `config = FLDMExperiment(...)`")
     return config
+
+
+def from_json(kind: Any, value: Any, place: str) -> Any:
+    """The value of type `kind` (a dataclass of this module, or the type of a field) that JSON stands for.
+
+    `place` names the value in messages. Raises ValueError for a field that is unknown, missing or of another
+    type, and for a number out of its range.
+    """
+    origin, inner = get_origin(kind), get_args(kind)
+    if is_dataclass(kind) and isinstance(value, dict):
+        hints = get_type_hints(kind)
+        names = [f.name for f in fields(kind)]
+        for name in dict.fromkeys([*value, *names]):
+            if name not in value or name not in names:
+                fault = "has no field" if name not in value else "has an unknown field"
+                raise ValueError(f"{place} {fault} {name!r}; use the version of flx that made it")
+        return kind(**{name: from_json(hints[name], value[name], f"{place}.{name}") for name in names})  # type: ignore[operator]
+    if origin in (Union, UnionType):
+        for option in inner:
+            with contextlib.suppress(ValueError):
+                return from_json(option, value, place)
+    elif origin is tuple and isinstance(value, list) and len(value) == len(inner):
+        return tuple(from_json(k, v, place) for k, v in zip(inner, value, strict=True))
+    elif origin is Literal and value in inner:
+        return value
+    elif kind is float and type(value) is int:
+        return float(value)
+    elif isinstance(kind, type) and type(value) is kind:
+        return value
+    raise ValueError(f"{place} is {value!r}, not a {getattr(kind, '__name__', kind)}; mend or delete it")

@@ -30,9 +30,10 @@ from test_hard_meshes import moebius, sleeve, soup, three_touching_boxes
 from test_triangulations import distances, min_angles, points_on, square_with_hole
 
 from flx.assets.read import read_asset
-from flx.commands.bench import peak_bytes
 from flx.commands.doctor import examine
+from flx.commands.reconstruct import Reconstruct, reconstruct
 from flx.config import FLDMExperiment
+from flx.evaluation.timings import peak_bytes
 from flx.geometry.remesh.remesh import coincidence, remesh
 from flx.geometry.repair import shape
 from flx.geometry.tables import mesh_tables
@@ -180,9 +181,8 @@ def measure(source: Source, vertices: int, out: Path) -> Row:
     )
     angles = min_angles(copy)
     away = max(distances(points_on(copy), mesh).max(), distances(points_on(mesh), copy).max())
-    from flx.commands.reconstruct import reconstruct  # JAX: not before the geometry's memory is known
-
-    fidelity = reconstruct(*source[:1], vertices, source.texture, TEXELS, out=out)
+    options = Reconstruct(source[0], vertices, out, source.texture, TEXELS)
+    fidelity = reconstruct(options)  # loads JAX: not before the geometry's memory is known
     return Row(
         verdict=re.sub(r"flx takes it |[()]", "", findings.verdict),
         faces=len(mesh.faces),

@@ -1,7 +1,7 @@
 """Every row of `flx bench` for the FL-VAE names what was timed, and how fast that was."""
 
-from flx.commands import bench
 from flx.config import FLVAE
+from flx.evaluation import timings as bench
 from flx.pipeline.codec import Codec, initial_params
 
 

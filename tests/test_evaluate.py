@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 from test_obj_source import changed, saved
 
-from flx.commands.reconstruct import reconstruct
+from flx.commands.reconstruct import Reconstruct, reconstruct
 from flx.evaluation.fidelity import compare, psnr
 
 
@@ -55,7 +55,7 @@ def test_error_is_the_mean_square_over_the_texels():
 
 def test_an_obj_is_reconstructed_as_the_same_obj_and_its_image_keeps_its_alpha(tmp_path):
     path, out = saved(tmp_path / "in"), tmp_path / "out"
-    reconstruct(path, vertices=60, texture_size=32, out=out, format="obj")
+    reconstruct(Reconstruct(path, vertices=60, texture_size=32, out=out, format="obj"))
     assert changed(path, out / "reconstruction.obj") == [
         (b"mtllib my cube.mtl\n", b"mtllib reconstruction.mtl\n")
     ]
@@ -65,11 +65,11 @@ def test_an_obj_is_reconstructed_as_the_same_obj_and_its_image_keeps_its_alpha(t
 
 
 def test_what_cannot_be_written_is_refused_before_anything_is_paid_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("flx.commands.reconstruct.make_copy", lambda *_: pytest.fail("a copy was made"))
+    monkeypatch.setattr("flx.geometry.copies.make_copy", lambda *_: pytest.fail("a copy was made"))
     path = saved(tmp_path / "in")
     with pytest.raises(ValueError, match="has textures, a PLY has colours of vertices; take --format"):
-        reconstruct(path, out=tmp_path / "out", format="ply")
+        reconstruct(Reconstruct(path, out=tmp_path / "out", format="ply"))
     path = path.rename(path.with_name("reconstruction.obj"))
     with pytest.raises(ValueError, match=r"would overwrite a file of .*; name another --out"):
-        reconstruct(path, out=path.parent, format="obj")
+        reconstruct(Reconstruct(path, out=path.parent, format="obj"))
     assert not (tmp_path / "out").exists()

@@ -30,7 +30,7 @@ EXACT = 1e-9
 compiled = functools.partial(
     jax.jit, compiler_options={"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 )
-SMALL = FLDM(latents=3, channels=4, vn_layers=2, filter_width=6, embedding=8, conditions=2)
+SMALL = FLDM(network="vectors", latents=3, channels=4, vn_layers=2, filter_width=6, embedding=8, conditions=2)
 DENOISERS = {
     "harmonic": SMALL,
     "mlp": replace(SMALL, filter="mlp"),

@@ -12,7 +12,8 @@ from flx.config import FLDM, FLVAE, FLVAEExperiment
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import latent_scaling
 from flx.geometry.tables import mesh_tables, stack
-from flx.models.denoiser.vectors import Denoiser, schedule
+from flx.models.denoiser.unet import schedule
+from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.codec import initial_params
 from flx.pipeline.copies import Prepared
 from flx.pipeline.patches import PatchBatch

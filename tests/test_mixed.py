@@ -12,7 +12,7 @@ from flx.fields import stencils as pairwise
 from flx.fields.algebra import real_pairs, tangent_noise
 from flx.fields.stencils import ring_sums
 from flx.models.denoiser.mixed import MixedBlock, MixedDenoiser
-from flx.models.denoiser.vectors import denoise
+from flx.models.denoiser.unet import denoise
 
 CONFIG = FLDM(network="mixed", latents=4, invariants=2, channels=6, embedding=16, precision="float32")
 VECTORS, INVARIANTS = [0, 1, 2], [3, 4]  # of the stencils' outputs

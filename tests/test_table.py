@@ -90,8 +90,8 @@ def test_colours_reach_the_texels_of_their_points(folder):
     colors = surface_colors(asset.mesh, canvas.atlases[0].points)
     parts = np.split(colors, range(CHUNK, len(colors), CHUNK))
     assert len(parts) > 1
-    assert fidelity(canvas, painted(canvas, iter(parts)))["psnr"] > 100
-    assert fidelity(canvas, painted(canvas, (1 - part for part in parts)))["psnr"] < 20
+    assert fidelity(asset, painted(canvas, iter(parts)))["psnr"] > 100
+    assert fidelity(asset, painted(canvas, (1 - part for part in parts)))["psnr"] < 20
 
 
 def test_chunks_are_asked_where_the_texels_are(folder):

@@ -1,4 +1,4 @@
-"""What `flx doctor` says of a mesh that was read: its report, what a planned run meets on it, and a verdict.
+"""`flx doctor`: what is in a mesh file, what a planned run meets on it, and a verdict.
 
 A mesh that cannot be used never comes here: `read_asset` refuses it, and that line is the verdict.
 
@@ -6,15 +6,21 @@ The costs are estimates, within a factor of two on two CPU cores like those they
 without AMX; `experiments/demo.py` at 5,000 vertices, `experiments/bowl.py` at 10,000, and `flx bench`).
 """
 
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
+from tyro.conf import Positional
 
 from flx.assets.asset import Asset, Report
 from flx.assets.inspect import coverage, inside_out_components, ring_pixels
-from flx.config import FLDM, FLDMExperiment, Train
+from flx.assets.read import read_asset
+from flx.config import FLDM, FLDMExperiment, Train, read_config
 from flx.geometry.atlas import uv_areas
+from flx.models.denoiser.depth import blocks_for
 
 RING_PIXELS = (7.0, 450.0)  # in one-rings that the FL-VAE was trained on: 1.5 to 12 pixels from the vertex
 COPY_SECONDS = 1.6e-4  # for each vertex of a copy: remeshing, tables, colours, two copies at once
@@ -23,6 +29,36 @@ COPY_BYTES = 600  # on disk, for each vertex of a copy: tables and latents
 STEP_SECONDS = {"vectors": 5.0e-7, "mixed": 2.7e-7}
 STEP_BYTES = 900  # for each of the same
 BASE_BYTES = 600e6  # JAX, and the mesh
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say what is in a mesh file, what would be repaired and what a run would take. Writes nothing.
+
+    Example: flx doctor bowl.glb --config experiments/bowl.py
+    """
+
+    mesh: Positional[Path]  # a .glb, .gltf, .obj or .ply file
+    texture: Path | None = None  # an image to use instead of the file's own
+    config: Path | None = None  # the run that is planned, as for `flx train`; the paper's unless given
+    vertices: int | None = None  # of the planned run; the config's unless given
+    json: bool = False  # print one JSON object
+
+    def __call__(self) -> None:
+        plan = FLDMExperiment() if self.config is None else read_config(self.config)
+        if not isinstance(plan, FLDMExperiment):
+            raise ValueError(f"{self.config} trains no mesh; give a config such as experiments/demo.py")
+        if self.vertices is not None:
+            plan = replace(plan, surface=replace(plan.surface, vertices=self.vertices))
+        try:
+            asset = read_asset(self.mesh, self.texture)
+        except (ValueError, OSError) as refusal:
+            if self.json:
+                print(json.dumps({"path": str(self.mesh), "verdict": f"refused: {refusal}"}, indent=2))
+            raise
+        findings = examine(asset, plan)
+        record = {**asset.report._asdict(), **findings._asdict(), "plan": findings.plan._asdict()}
+        print(json.dumps(record, indent=2) if self.json else describe(asset.report, findings))
 
 
 class Plan(NamedTuple):
@@ -73,7 +109,7 @@ def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
 
 def _plan(asset: Asset, painted: Bool[Any, "F"], experiment: FLDMExperiment) -> Plan:
     surface, train, model = experiment.surface, experiment.train, experiment.model
-    blocks = sum(model.blocks) if model.blocks else max(3, round((surface.vertices / 312) ** 0.5))
+    blocks = sum(model.blocks or blocks_for(surface.vertices))
     work = float(surface.vertices) * model.channels * blocks * train.batch
     return Plan(
         papers=(model, train) == (FLDM(), Train()),
@@ -84,8 +120,8 @@ def _plan(asset: Asset, painted: Bool[Any, "F"], experiment: FLDMExperiment) -> 
         ring_pixels=ring_pixels(asset, painted, surface.vertices),
         copy_seconds=COPY_SECONDS * surface.vertices * surface.copies,
         disk_bytes=float(COPY_BYTES) * surface.vertices * surface.copies,
-        step_seconds=STEP_SECONDS[model.network] * work,
-        train_seconds=STEP_SECONDS[model.network] * work * train.steps,
+        step_seconds=STEP_SECONDS[model.network or "mixed"] * work,
+        train_seconds=STEP_SECONDS[model.network or "mixed"] * work * train.steps,
         train_bytes=BASE_BYTES + STEP_BYTES * work,
     )
 

@@ -3,68 +3,83 @@
 import json
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from tyro.conf import Positional
 
 from flx.assets.asset import Format
-from flx.assets.preflight import check_output
-from flx.assets.read import read_asset
-from flx.assets.unwrap import prepared_for
-from flx.assets.write import write_atlases, write_baked, write_png
-from flx.commands.bench import peak_bytes
 from flx.config import Surface
-from flx.evaluation.fidelity import fidelity
-from flx.evaluation.lpips import HINT, installed_judges
-from flx.files import write_atomically
-from flx.geometry.atlas import with_filled_gutters
-from flx.geometry.copies import make_copy
-from flx.geometry.seams import seam_ratio
-from flx.pipeline.canvas import bake, check_size, open_canvas, shown, side_by_side
-from flx.pipeline.codec import load_codec
 
 
-def reconstruct(
-    mesh: Path,
-    vertices: int = 30_000,
-    texture: Path | None = None,
-    texture_size: int | None = None,
-    weights: str | None = None,
-    seed: int = 0,
-    up: str = "y",
-    out: Path | None = None,
-    format: Format = "glb",
-) -> dict[str, Any]:
-    """Send a mesh's texture through the FL-VAE and back onto its own coordinates; return the metrics.
+@dataclass(frozen=True)
+class Reconstruct:
+    """Send a texture through the FL-VAE and back, and print its metrics as JSON.
 
-    Writes the reconstruction, its atlas, side_by_side.png and metrics.json into `out`.
+    Example: flx reconstruct bowl.glb --vertices 30000 --out bowl-there-and-back
     """
-    check_size(texture_size)
+
+    mesh: Positional[Path]  # a .glb, .gltf, .obj or .ply file
+    vertices: int = 30_000  # of the triangulation that carries the codes
+    out: Path | None = None  # folder to write to; MESH-VERTICES unless given
+    texture: Path | None = None  # an image to use instead of the file's own
+    texture_size: int | None = None  # pixels on the longer side; the input's, at most 2048, unless given
+    # "glb" keeps everything that a GLB or glTF held, "obj" everything of an OBJ; "ply" holds vertex colours
+    format: Format = "glb"
+    up: Literal["y", "z"] = "y"  # the axis that points up in the pictures
+    weights: str | None = None  # an FL-VAE file; the released one unless given
+    seed: int = 0  # of the triangulation
+
+    def __call__(self) -> None:
+        print(json.dumps(reconstruct(self), indent=2))
+
+
+def reconstruct(options: Reconstruct) -> dict[str, Any]:
+    """Write the reconstruction, its atlas, side_by_side.png and metrics.json; return the metrics."""
+    from flx.assets.preflight import check_output
+    from flx.assets.read import read_asset
+    from flx.assets.unwrap import prepared_for
+    from flx.assets.write import write_atlases, write_baked, write_png
+    from flx.evaluation.fidelity import fidelity
+    from flx.evaluation.lpips import HINT, installed_judges
+    from flx.evaluation.timings import peak_bytes
+    from flx.files import write_atomically
+    from flx.geometry.atlas import with_filled_gutters
+    from flx.geometry.copies import make_copy
+    from flx.geometry.seams import seam_ratio
+    from flx.pipeline.canvas import bake, check_size, open_canvas, shown, side_by_side
+    from flx.pipeline.codec import load_codec
+
+    check_size(options.texture_size)
+    surface = Surface(vertices=options.vertices, seed=options.seed)
     judges = installed_judges()
     began = time.monotonic()
-    asset = read_asset(mesh, texture)
-    out = out or Path(f"{mesh.stem}-{vertices}")
-    check_output(asset, format, [out / f"reconstruction.{format}"], [out / "side_by_side.png"])
-    codec = load_codec(weights)
-    surface = Surface(vertices=vertices, seed=seed)
-    copy = make_copy(with_filled_gutters(asset.mesh), vertices, codec.config.samples, surface.slots, seed)
-    asset = prepared_for(asset, format)
-    canvas = open_canvas(asset, copy.triangulation, texture_size)
+    asset = read_asset(options.mesh, options.texture)
+    out = options.out or Path(f"{options.mesh.stem}-{options.vertices}")
+    file = out / f"reconstruction.{options.format}"
+    check_output(asset, options.format, [file], [out / "side_by_side.png"])
+    codec = load_codec(options.weights)
+    mesh = with_filled_gutters(asset.mesh)
+    copy = make_copy(mesh, surface.vertices, codec.config.samples, surface.slots, surface.seed)
+    asset = prepared_for(asset, options.format)
+    canvas = open_canvas(asset, copy.triangulation, options.texture_size)
     baked = bake(canvas, codec, codec.encode(copy.rings))
     seconds = time.monotonic() - began
 
     metrics = {
-        "mesh": str(mesh),
-        "vertices": vertices,
-        **fidelity(canvas, baked, judges),
+        "mesh": str(options.mesh),
+        "vertices": options.vertices,
+        **fidelity(asset, baked, judges, canvas.atlases),
         "seam_ratio": seam_ratio(shown(asset, baked)),
         "seam_ratio_input": seam_ratio(asset.mesh),
         "texture_sizes": [list(image.shape[:2]) for image in baked.images],
         "seconds": round(seconds, 2),
         "peak_bytes": peak_bytes(),
     }
-    write_baked(asset, baked, out / f"reconstruction.{format}")
-    write_atlases(asset, baked, out / f"reconstruction.{format}")
-    write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], up, 512))
+    write_baked(asset, baked, file)
+    write_atlases(asset, baked, file)
+    write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], options.up, 512))
     write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
     if not judges:
         print(f"flx: {HINT}", file=sys.stderr)

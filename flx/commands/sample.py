@@ -1,107 +1,81 @@
-"""New textures from a trained run: noise, the reverse process, decoded onto the original asset."""
+"""`flx sample`: new textures from a trained generator."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import jax
-import jax.numpy as jnp
-import numpy as np
 from tqdm import tqdm
+from tyro.conf import Positional
 
-from flx.assets.asset import Baked, Format
-from flx.assets.preflight import check_output
-from flx.assets.unwrap import prepared_for
-from flx.assets.write import write_atlases, write_baked, write_png
-from flx.config import FLDMExperiment
-from flx.fields import samplers
-from flx.fields.algebra import tangent_noise
-from flx.fields.diffusion import latent_scaling
-from flx.files import write_atomically
-from flx.geometry.seams import seam_ratio
-from flx.models.denoiser.vectors import denoise, schedule
-from flx.pipeline.canvas import bake, check_size, open_canvas, shown, side_by_side
-from flx.pipeline.codec import load_codec
-from flx.pipeline.copies import open_cache, prepare
-from flx.training.fldm import denoiser, load_copies
-from flx.training.loop import restore
-from flx.training.run import Run, load_config
-from flx.training.run_asset import read_kept
-
-Sampler = Literal["ancestral", "ddim"]
+from flx.assets.asset import Format
 
 
-def sample(
-    folder: Path,
-    count: int = 4,
-    seed: int = 0,
-    sampler: Sampler = "ddim",
-    steps: int = 50,
-    texture_size: int | None = None,
-    out: Path | None = None,
-    format: Format = "glb",
-) -> Path:
-    """Write `count` variations in a format and as PNG, a contact sheet and samples.json; return their folder.
+@dataclass(frozen=True)
+class Sample:
+    """Make new textures: variation_00.glb and more, their atlases, a contact sheet and samples.json.
 
-    Variation n hangs on the seed and n alone: more of them, or a second call, change none. Each file is
-    there whole or not at all. Raises ValueError where the folder is not a trained FLDM run.
+    Example: flx sample runs/demo --count 4
     """
-    check_size(texture_size)
-    if count < 1 or steps < 1:
-        raise ValueError(f"{count} variations in {steps} steps; give at least one of each")
-    experiment = load_config(folder)
-    if not isinstance(experiment, FLDMExperiment):
-        raise ValueError(f"{folder} is the run of an FL-VAE; sample one of `flx train experiments/demo.py`")
-    run, surface = Run(folder), experiment.surface
-    asset, out = read_kept(run, surface), out or run.samples
-    files = [out / f"variation_{n:02d}.{format}" for n in range(count)]
-    check_output(asset, format, files, [out / "contact_sheet.png"])
-    codec = load_codec(experiment.weights)
-    cache = open_cache(run.prepared, asset, surface, codec)
-    prepare(cache, asset, surface, codec)
-    copies = load_copies(cache, experiment)
-    latents = np.concatenate([copy.latents for copy in copies])
-    scaling, home = latent_scaling(latents, codec.config.invariants), copies[0]
-    network = denoiser(experiment, codec)
-    model = network.config
-    state = restore(run, experiment.train, abstract_params(network, home.tables, model.latents))
-    alphas = schedule(model)
-    table = samplers.ddim_steps(alphas, steps) if sampler == "ddim" else samplers.ancestral_steps(alphas)
 
-    @jax.jit
-    def draw(params: Any, tables: Any, key: jax.Array) -> jax.Array:
-        of_start, of_steps = jax.random.split(key)
-        start = tangent_noise(of_start, (len(home.latents), model.latents))
-        return samplers.reverse(lambda z, t: denoise(network, params, tables, z, t), table, start, of_steps)
+    run: Positional[Path]  # a run folder of `flx train`, or a generator.safetensors
+    count: int = 4  # number of variations
+    seed: int = 0  # variation n depends on the seed and n alone
+    out: Path | None = None  # folder to write to; RUN/samples unless given
+    texture_size: int | None = None  # pixels on the longer side; the input's, at most 2048, unless given
+    # "glb" keeps everything that a GLB or glTF held, "obj" everything of an OBJ; "ply" holds vertex colours
+    format: Format = "glb"
+    steps: int = 50  # evaluations of the network; "ancestral" takes all steps of the schedule instead
+    sampler: Literal["ddim", "dpm", "ancestral"] = "ddim"  # "dpm" is of second order, "ancestral" is DDPM
 
-    asset = prepared_for(asset, format)
-    canvas = open_canvas(asset, home.triangulation, texture_size)
-    variations: list[Baked] = []
-    for n in tqdm(range(count), desc="variations", unit="texture", dynamic_ncols=True):
-        key = jax.random.fold_in(jax.random.key(seed), n)
-        z = np.asarray(draw(state.ema, home.tables, key))
-        baked = bake(canvas, codec, scaling.to_latents(z))
-        write_baked(asset, baked, files[n])
-        write_atlases(asset, baked, files[n])
-        variations.append(baked)
-    names = [f"variation {n:02d}" for n in range(count)]
-    write_png(out / "contact_sheet.png", side_by_side(asset, variations[:8], names[:8], surface.up))
+    def __call__(self) -> None:
+        print(sample(self))
+
+
+def sample(options: Sample) -> Path:
+    """Write the variations, each file whole or not at all; return their folder.
+
+    Raises ValueError where there is no trained FLDM, or the output cannot be written as asked.
+    """
+    from flx.assets.preflight import check_output
+    from flx.assets.unwrap import prepared_for
+    from flx.assets.write import write_atlases, write_baked, write_png
+    from flx.files import write_atomically
+    from flx.geometry.seams import seam_ratio
+    from flx.pipeline.canvas import check_size, shown, side_by_side
+    from flx.pipeline.generator import generate, sampler_named
+    from flx.training.fldm import load_generator
+
+    check_size(options.texture_size)
+    if options.count < 1 or options.steps < 1:
+        raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
+    generator = load_generator(options.run)
+    chosen = sampler_named(options.sampler, generator.alphas, options.steps)
+    out = options.out or (options.run if options.run.is_dir() else options.run.parent) / "samples"
+    files = [out / f"variation_{n:02d}.{options.format}" for n in range(options.count)]
+    check_output(generator.asset, options.format, files, [out / "contact_sheet.png"])
+
+    asset, up = prepared_for(generator.asset, options.format), generator.experiment.surface.up
+    rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)
+    bar = tqdm(generate(generator, *rules), "variations", options.count, unit="texture", dynamic_ncols=True)
+    variations, ratios = [], []
+    for file, baked in zip(files, bar, strict=True):
+        write_baked(asset, baked, file)
+        write_atlases(asset, baked, file)
+        ratios.append(seam_ratio(shown(asset, baked)))
+        variations = [*variations, baked][:8]  # what the contact sheet shows
+    names = [f"variation {n:02d}" for n in range(len(variations))]
+    write_png(out / "contact_sheet.png", side_by_side(asset, variations, names, up))
     record = {
-        "run": str(folder),
-        "step": int(state.step),
-        "seed": seed,
-        "sampler": sampler,
-        "steps": len(table.t),
-        "vertices": surface.vertices,
-        "seam_ratios": [seam_ratio(shown(asset, baked)) for baked in variations],
+        "run": str(options.run),
+        "step": generator.step,
+        "seed": options.seed,
+        "sampler": options.sampler,
+        "steps": len(chosen.table["t"]),
+        "vertices": len(generator.home.triangulation.vertices),
+        "seam_ratios": ratios,
         "seam_ratio_input": seam_ratio(asset.mesh),
         "files": [file.name for file in files],
     }
     write_atomically(out / "samples.json", (json.dumps(record, indent=2) + "\n").encode())
     return out
-
-
-def abstract_params(network: Any, tables: Any, latents: int) -> Any:
-    """The shapes of the network's parameters."""
-    z = jnp.zeros((len(tables.fine.masses), latents), jnp.complex64)
-    return jax.eval_shape(network.init, jax.random.key(0), tables, z, jnp.float32(1))

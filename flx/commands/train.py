@@ -1,12 +1,20 @@
-"""`flx train`: prepare and train what a config describes."""
+"""`flx train`: prepare and train what a config describes, or learn a mesh with the settings of the demo."""
 
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from flx.config import Experiment, FLVAEExperiment
-from flx.training.run import Run
+import tyro
+
+from flx.assets.formats.readers import READERS
+from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, quick, read_config
+
+if TYPE_CHECKING:
+    from flx.training.run import Run
 
 
-def learn(experiment: Experiment, root: Path) -> Run:
+def learn(experiment: Experiment, root: Path = Path("runs")) -> "Run":
     """Train what the experiment describes, from where it was left; return its run folder under `root`."""
     if isinstance(experiment, FLVAEExperiment):
         from flx.training.flvae import learn_flvae
@@ -15,3 +23,46 @@ def learn(experiment: Experiment, root: Path) -> Run:
     from flx.training.fldm import learn_fldm
 
     return learn_fldm(experiment, root)
+
+
+def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
+    """The command for the config or mesh that the first argument names: its fields are the options.
+
+    Raises ValueError where it names neither.
+    """
+    named = arguments[0] if arguments and not arguments[0].startswith("-") else ""
+    experiment = _experiment(Path(named)) if named else quick()
+
+    def train(
+        what: tyro.conf.Positional[Path],
+        experiment: Annotated[type(experiment), tyro.conf.arg(name="")] = experiment,  # pyright: ignore
+    ) -> Callable[[], None]:
+        """Learn a mesh. The same command goes on where it was stopped.
+
+        Example: flx train bowl.glb                                     the settings of the demo
+                 flx train experiments/bowl.py --train.steps 500        those of a config
+
+        Args:
+            what: A mesh file (.glb, .gltf, .obj or .ply), or a config such as experiments/demo.py.
+        """
+        return lambda: _run(experiment)
+
+    return train
+
+
+def _experiment(path: Path) -> Experiment:
+    if path.suffix.lower() in READERS:
+        return quick(str(path), path.stem)
+    if path.suffix != ".py":
+        raise ValueError(
+            f"{path} is neither a mesh ({', '.join(READERS)}) nor a config; name one, such as bowl.glb or "
+            "experiments/demo.py"
+        )
+    return read_config(path)
+
+
+def _run(experiment: Experiment) -> None:
+    run = learn(experiment)
+    if isinstance(experiment, FLDMExperiment):
+        print(f"{run.folder}: learnt; flx sample {run.folder} makes new textures", file=sys.stderr)
+    print(run.folder)

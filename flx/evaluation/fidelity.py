@@ -7,32 +7,39 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from skimage.metrics import structural_similarity
 
-from flx.assets.asset import Baked
+from flx.assets.asset import Asset, Baked
 from flx.evaluation.lpips import Judge
-from flx.geometry.atlas import fill_gutter
-from flx.pipeline.canvas import Canvas, bake_back, resized
+from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
+from flx.pipeline.canvas import bake_back, resized
 
 WINDOW = 11  # pixels a side of the Gaussian windows of DSSIM; smaller pictures are continued to that
 
 
-def fidelity(canvas: Canvas, baked: Baked, judges: Sequence[Judge] = ()) -> dict[str, float]:
+def fidelity(
+    asset: Asset,
+    painting: Baked,
+    judges: Sequence[Judge] = (),
+    atlases: Sequence[Atlas | None] | None = None,
+) -> dict[str, float]:
     """PSNR, DSSIM and each judge's LPIPS of new textures against the asset's own.
 
     Over covered texels of all textures. Vertex-coloured assets have no atlas: only a PSNR, over the vertices.
+    `atlases`: the texels of each texture, where they are known already.
     """
-    asset = canvas.asset
-    if not canvas.atlases:
+    if not painting.images:
         used = np.unique(asset.corner_vertices)
         own = bake_back(asset).colors
-        return {"psnr": psnr(float(np.mean((own[used] - baked.colors[used]) ** 2)))}
+        return {"psnr": psnr(float(np.mean((own[used] - painting.colors[used]) ** 2)))}
+    atlases = atlases or [
+        None if texture.flat else atlas_texels(asset.mesh, index, *image.shape[:2])
+        for index, (texture, image) in enumerate(zip(asset.textures, painting.images, strict=True))
+    ]
     distances, weights = [], []
-    for atlas, own, new in zip(canvas.atlases, asset.mesh.textures, baked.images, strict=True):
-        if atlas is None or not len(atlas.rows):
+    for atlas, own, new in zip(atlases, asset.mesh.textures, painting.images, strict=True):
+        if atlas is None or not atlas.covered.any():
             continue
-        covered = np.zeros(new.shape[:2], bool)
-        covered[atlas.rows, atlas.columns] = True
-        distances.append(compare(resized(own, *new.shape[:2]), new, covered, judges))
-        weights.append(covered.sum())
+        distances.append(compare(resized(own, *new.shape[:2]), new, atlas.covered, judges))
+        weights.append(atlas.covered.sum())
     means = {name: float(np.average([d[name] for d in distances], weights=weights)) for name in distances[0]}
     return {"psnr": psnr(means.pop("squared_error")), **means}
 

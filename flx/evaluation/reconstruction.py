@@ -112,7 +112,7 @@ def reconstruction_table(
                 began = time.monotonic()
                 baked = painted(canvas, map(method(Subject(mesh, triangulation, rings)), chunks(canvas)))
                 seconds = round(time.monotonic() - began, 2)
-                measured = fidelity(canvas, baked, judges)
+                measured = fidelity(canvas.asset, baked, judges, canvas.atlases)
                 new = wanted[path, count, name]
                 row = {"mesh": path, "method": name, "vertices": count, **measured}
                 found[new] = {**row, "seconds": seconds, "key": new}

@@ -1,28 +1,39 @@
-"""Samplers: from noise back to data, by a denoising function."""
+"""Samplers: from noise back to data by a denoising function. Each reads like the algorithm in its paper.
 
+A sampler is a table with a row for each step from t to s < t, and a step that uses one row:
+
+    step(row, denoise, z, memory, noise) → z at s, memory
+
+Coefficients are computed in NumPy float64, outside of the scan, where α_t near 1 would cancel in float32.
+`memory` is what a multistep solver keeps of the steps before. `reverse` scans the table. After each step it
+calls a hook, which may change z: inpainting and guidance need that.
+"""
+
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Complex, Float64, Int
+from jaxtyping import Complex, Float, Float64
 
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import Denoise
 
-
-class ReverseStep(NamedTuple):
-    """Z_{t−1} = C₁ Z_t + C₂ ε̂ + C₃ ε for each step t of a sampler, first step first."""
-
-    t: Any  # Int [N]
-    c1: Any  # Float [N]
-    c2: Any
-    c3: Any
+Hook = Callable[[Complex[Array, "V D"], Float[Array, ""], Array], Complex[Array, "V D"]]  # z, s, key → z
 
 
-def ancestral_steps(alphas: Float64[np.ndarray, "T"]) -> ReverseStep:
-    """The exact posterior of DDPM, from t = T to 1 (paper, supplement; Ho et al.).
+class Sampler(NamedTuple):
+    """A row for each step, the first step first; all rows have `t` and `s`."""
+
+    table: dict[str, Float64[np.ndarray, "N"]]
+    step: Callable[..., tuple[Array, Any]]
+    memory: Callable[[Array], Any]  # before the first step, made from Z_T
+
+
+def ancestral(alphas: Float64[np.ndarray, "T"]) -> Sampler:
+    """DDPM (Ho et al. 2020, algorithm 2; paper, supplement): the exact posterior, from t = T to 1.
 
     With a = α_t/α_{t−1}: C₁ = 1/√a, C₂ = −(1−a)/√(a(1−α_t)), C₃ = √((1−α_{t−1})(1−a)/(1−α_t)). The paper
     prints C₂ as a product of two roots; it is their difference, which this is without cancellation.
@@ -31,38 +42,97 @@ def ancestral_steps(alphas: Float64[np.ndarray, "T"]) -> ReverseStep:
     t = np.arange(len(alphas) - 1, 0, -1)
     now, before = alphas[t], alphas[t - 1]
     a = now / before
-    return ReverseStep(
-        t, 1 / np.sqrt(a), -(1 - a) / np.sqrt(a * (1 - now)), np.sqrt((1 - before) * (1 - a) / (1 - now))
-    )
+    c1, c2 = 1 / np.sqrt(a), -(1 - a) / np.sqrt(a * (1 - now))
+    c3 = np.sqrt((1 - before) * (1 - a) / (1 - now))
+
+    return Sampler({"t": t, "s": t - 1, "c1": c1, "c2": c2, "c3": c3}, _ancestral_step, nothing)
 
 
-def ddim_steps(alphas: Float64[np.ndarray, "T"], count: int) -> ReverseStep:
-    """Deterministic steps between `count` + 1 times (Song et al., η = 0), the last one to t = 0.
+def _ancestral_step(row: Any, denoise: Denoise, z: Array, memory: Any, noise: Array) -> tuple[Array, Any]:
+    return row["c1"] * z + row["c2"] * denoise(z, row["t"]) + row["c3"] * noise, memory
 
-    Z_{t'} = √α_{t'} Ẑ + √(1−α_{t'}) ε̂ with Ẑ = (Z_t − √(1−α_t) ε̂)/√α_t.
-    Raises ValueError where there are fewer than `count` steps.
+
+def ddim(alphas: Float64[np.ndarray, "T"], count: int) -> Sampler:
+    """Deterministic steps (Song et al. 2021, η = 0), evenly spaced in t, the last one to t = 0.
+
+    Ẑ = (Z_t − √(1−α_t) ε̂)/√α_t, then Z_s = √α_s Ẑ + √(1−α_s) ε̂.
+    Raises ValueError where the schedule has fewer than `count` steps.
+    """
+    t, s = spaced(alphas, count)
+    c1 = np.sqrt(alphas[s] / alphas[t])  # of Z_t
+    c2 = np.sqrt(1 - alphas[s]) - c1 * np.sqrt(1 - alphas[t])  # of ε̂
+
+    return Sampler({"t": t, "s": s, "c1": c1, "c2": c2}, _ddim_step, nothing)
+
+
+def _ddim_step(row: Any, denoise: Denoise, z: Array, memory: Any, noise: Array) -> tuple[Array, Any]:
+    return row["c1"] * z + row["c2"] * denoise(z, row["t"]), memory
+
+
+def dpm_solver(alphas: Float64[np.ndarray, "T"], count: int) -> Sampler:
+    """DPM-Solver++(2M) (Lu et al. 2022, algorithm 2): second order, by the Ẑ of the step before.
+
+    With λ = ln √(α/(1−α)), h = λ_s − λ_t and r = h_before/h:
+    D = (1 + 1/2r) Ẑ_t − 1/2r Ẑ_before, then Z_s = √((1−α_s)/(1−α_t)) Z_t − √α_s (e^{−h} − 1) D.
+    The first step, and the last one, whose h is infinite, are of first order.
+    Raises ValueError where the schedule has fewer than `count` steps.
+    """
+    t, s = spaced(alphas, count)
+    with np.errstate(divide="ignore"):
+        log_snr = np.log(alphas / (1 - alphas)) / 2
+    h = log_snr[s] - log_snr[t]
+    ratio = np.zeros(count)
+    ratio[1:] = h[1:] / h[:-1] / 2  # 1/2r
+    ratio[-1] = 0
+    decay, gain = np.sqrt((1 - alphas[s]) / (1 - alphas[t])), -np.sqrt(alphas[s]) * np.expm1(-h)
+    signal, deviation = np.sqrt(alphas[t]), np.sqrt(1 - alphas[t])
+
+    rows = {"t": t, "s": s, "ratio": ratio, "decay": decay, "gain": gain}
+    return Sampler({**rows, "signal": signal, "deviation": deviation}, _dpm_step, jnp.zeros_like)
+
+
+def _dpm_step(row: Any, denoise: Denoise, z: Array, before: Array, noise: Array) -> tuple[Array, Array]:
+    data = (z - row["deviation"] * denoise(z, row["t"])) / row["signal"]  # Ẑ_t
+    mixed = data + row["ratio"] * (data - before)  # D
+    return row["decay"] * z + row["gain"] * mixed, data
+
+
+def spaced(alphas: Float64[np.ndarray, "T"], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """`count` steps from T to 0 as (t, s), as even as whole numbers are.
+
+    Raises ValueError where the schedule has fewer steps.
     """
     total = len(alphas) - 1
     if not 1 <= count <= total:
-        raise ValueError(f"a DDIM sampler of {count} steps; the schedule has {total}: ask for 1 to {total}")
+        raise ValueError(f"a sampler of {count} steps; the schedule has {total}: ask for 1 to {total}")
     times = np.rint(np.linspace(total, 0, count + 1)).astype(int)
-    t, then = times[:-1], times[1:]
-    now, after = alphas[t], alphas[then]
-    c1 = np.sqrt(after / now)
-    return ReverseStep(t, c1, np.sqrt(1 - after) - c1 * np.sqrt(1 - now), np.zeros(count))
+    return times[:-1], times[1:]
+
+
+def nothing(z: Array) -> tuple[()]:
+    """The memory of a sampler that needs none."""
+    return ()
 
 
 def reverse(
-    denoise: Denoise, steps: ReverseStep, z: Complex[Array, "*V D"], key: Array
+    denoise: Denoise, sampler: Sampler, z: Complex[Array, "*V D"], key: Array, hook: Hook | None = None
 ) -> Complex[Array, "*V D"]:
-    """Run a sampler as one scan from Z_T = `z` (tangent noise) to Z_0."""
+    """Run a sampler as one scan from Z_T = `z` (tangent noise) to Z_0.
 
-    def step(z: Array, s: tuple[ReverseStep, Int[Array, ""]]) -> tuple[Array, None]:
-        coefficients, n = s
-        t, c1, c2, c3 = coefficients
-        noise = tangent_noise(jax.random.fold_in(key, n), z.shape).astype(z.dtype)
-        return c1 * z + c2 * denoise(z, t) + c3 * noise, None
+    Step n draws its noise with fold_in(key, n). `hook(z, s, key)` gets what the step has reached at time s
+    and a key of its own; what it returns goes on.
+    """
+
+    def step(carry: tuple[Array, Any], row: dict[str, Array]) -> tuple[tuple[Array, Any], None]:
+        z, memory = carry
+        of_step = jax.random.fold_in(key, row["n"])
+        noise = tangent_noise(of_step, z.shape).astype(z.dtype)
+        z, memory = sampler.step(row, denoise, z, memory, noise)
+        if hook is not None:
+            z = hook(z, row["s"], jax.random.fold_in(of_step, 1))
+        return (z, memory), None
 
     real = jnp.real(z).dtype
-    table = ReverseStep(*(jnp.asarray(column, real) for column in steps))
-    return jax.lax.scan(step, z, (table, jnp.arange(len(steps.t))))[0]
+    table = {name: jnp.asarray(column, real) for name, column in sampler.table.items()}
+    table["n"] = jnp.arange(len(table["t"]))
+    return jax.lax.scan(step, (z, sampler.memory(z)), table)[0][0]

@@ -15,16 +15,23 @@ from tqdm import tqdm
 from flx.config import FLDM, FLDMExperiment
 from flx.fields import diffusion
 from flx.fields.algebra import squared_modulus, tangent_noise
-from flx.fields.diffusion import latent_scaling
+from flx.fields.diffusion import Scaling, latent_scaling
 from flx.geometry.tables import stack
-from flx.models.denoiser.depth import blocks_for, reach
-from flx.models.denoiser.mixed import MixedDenoiser
-from flx.models.denoiser.vectors import Denoiser, denoise, schedule
+from flx.models.denoiser.depth import complete, reach
+from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.pipeline.codec import Codec, load_codec
-from flx.pipeline.copies import Cache, Prepared, open_cache, prepare
-from flx.training.loop import LossFn, train
-from flx.training.run import Run, open_run
-from flx.training.run_asset import keep, read_source
+from flx.pipeline.copies import Cache, open_cache, prepare
+from flx.pipeline.generator import (
+    Generator,
+    Home,
+    learnt_generator,
+    network_of,
+    read_generator,
+    save_generator,
+)
+from flx.training.loop import LossFn, TrainState, restore, train
+from flx.training.run import Run, load_config, open_run
+from flx.training.run_asset import keep, read_kept, read_source, source_of
 from flx.types import MeshTables
 
 
@@ -36,64 +43,106 @@ class MeshBatch(NamedTuple):
 
 
 def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
-    """Prepare the asset (cached), then train a field-latent diffusion model on its copies."""
+    """Prepare the asset (cached), then train a field-latent diffusion model on its copies.
+
+    The run folder gets `generator.safetensors` at each checkpoint. Raises ValueError where the experiment's
+    network does not fit its FL-VAE, before anything is made.
+    """
     surface, config = experiment.surface, experiment.train
-    asset = read_source(surface)
     codec = load_codec(experiment.weights)
+    experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
+    network = network_of(experiment.model)
+    asset = read_source(surface)
     fingerprint = hashlib.sha256((asset.digest + codec.digest()).encode()).hexdigest()
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
     cache = open_cache(run.prepared, asset, surface, codec)
     prepare(cache, asset, surface, codec)
-    copies = load_copies(cache, experiment)
-    scaling = latent_scaling(np.concatenate([copy.latents for copy in copies]), codec.config.invariants)
-    latents = np.stack([scaling.to_diffusion(copy.latents) for copy in copies])
-    whole = MeshBatch(stack([copy.tables for copy in copies]), latents)
-    network = denoiser(experiment, codec)
-    seen = reach(copies[0].tables, network.blocks)
+    whole, scaling = load_copies(cache, experiment, codec)
+    home = home_of(cache, experiment)
+    source = source_of(run, surface, asset)
+    seen = reach(home.tables, network.blocks)
     tqdm.write(
         f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices", file=sys.stderr
     )
 
     def batches(step: int) -> MeshBatch:
         rng = np.random.default_rng([config.seed, step])
-        chosen = rng.choice(len(copies), config.batch, replace=config.batch > len(copies))
+        chosen = rng.choice(surface.copies, config.batch, replace=config.batch > surface.copies)
         return jax.tree.map(lambda a: a[chosen], whole)
+
+    def save(step: int, params: Any) -> None:
+        generator = learnt_generator(experiment, params, scaling, codec, home, source, step)
+        save_generator(run.generator, generator)
 
     first = jax.tree.map(lambda a: a[0], whole)
     params = jax.jit(network.init)(jax.random.key(config.seed), first.tables, first.latents, jnp.float32(1))
-    train(run, config, params, diffusion_loss(experiment.model, network), batches)
+    state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
+    if not run.generator.exists():  # it was trained before there were such files
+        save(int(state.step), state.ema)
     return run
 
 
-def load_copies(cache: Cache, experiment: FLDMExperiment) -> list[Prepared]:
-    """The prepared copies in the order of their seeds."""
-    return [cache.load(experiment.surface.seed + k) for k in range(experiment.surface.copies)]
+def load_copies(cache: Cache, experiment: FLDMExperiment, codec: Codec) -> tuple[MeshBatch, Scaling]:
+    """All prepared copies in the order of their seeds, and the scaling of their latents."""
+    copies = [cache.load(seed) for seed in seeds_of(experiment)]
+    latents = [copy.latents for copy in copies]
+    scaling = latent_scaling(np.concatenate(latents), codec.config.invariants)
+    scaled = np.stack([scaling.to_diffusion(z) for z in latents])
+    return MeshBatch(stack([copy.tables for copy in copies]), scaled), scaling
 
 
-def denoiser(experiment: FLDMExperiment, codec: Codec) -> Denoiser | MixedDenoiser:
-    """The network for this codec, as deep as its vertex count allows where the experiment does not say.
+def home_of(cache: Cache, experiment: FLDMExperiment) -> Home:
+    """The first copy, on which the generator samples."""
+    copy = cache.load(experiment.surface.seed)
+    return Home(copy.triangulation, copy.tables)
 
-    Raises ValueError where a network of vectors alone is asked for a codec with invariant channels.
+
+def seeds_of(experiment: FLDMExperiment) -> range:
+    """Of the copies."""
+    return range(experiment.surface.seed, experiment.surface.seed + experiment.surface.copies)
+
+
+def load_generator(path: str | Path) -> Generator:
+    """The generator in a file, or that of a run folder.
+
+    Raises ValueError where there is none: no run, one that has no checkpoint yet, the run of an FL-VAE, or a
+    damaged file.
     """
-    latents, invariants = codec.config.latents, codec.config.invariants
-    model = replace(experiment.model, latents=latents, invariants=invariants)
-    blocks = model.blocks or blocks_for(experiment.surface.vertices)
-    if model.network == "mixed":
-        return MixedDenoiser(model, blocks)
-    if invariants:
-        raise ValueError(
-            f"model.network is 'vectors' but {invariants} of the FL-VAE's {latents} channels are invariant; "
-            "take --model.network mixed, or --weights of an FL-VAE of vectors alone"
-        )
-    return Denoiser(model, blocks)
+    path = Path(path)
+    if not path.is_dir():
+        if not path.exists():
+            raise ValueError(f"{path} does not exist; give a run folder of `flx train`, or a generator file")
+        return read_generator(path)
+    run, experiment = Run(path), load_config(path)
+    if not isinstance(experiment, FLDMExperiment):
+        raise ValueError(f"{path} is the run of an FL-VAE; sample one of `flx train experiments/demo.py`")
+    return read_generator(run.generator) if run.generator.exists() else _of_checkpoint(run, experiment)
 
 
-def diffusion_loss(model: FLDM, network: Denoiser | MixedDenoiser) -> LossFn:
+def _of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
+    """The generator of a run without such a file, as earlier versions left it: from its newest checkpoint."""
+    surface, codec = experiment.surface, load_codec(experiment.weights)
+    experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
+    asset = read_kept(run, surface)
+    cache = open_cache(run.prepared, asset, surface, codec)
+    prepare(cache, asset, surface, codec)
+    latents = np.concatenate([cache.load(seed).latents for seed in seeds_of(experiment)])
+    scaling, home = latent_scaling(latents, codec.config.invariants), home_of(cache, experiment)
+    z = jnp.zeros((len(home.triangulation.vertices), codec.config.latents), jnp.complex64)
+    shapes = jax.eval_shape(
+        network_of(experiment.model).init, jax.random.key(0), home.tables, z, jnp.float32(1)
+    )
+    state: TrainState = restore(run, experiment.train, shapes)
+    source = source_of(run, surface, asset)
+    return learnt_generator(experiment, state.ema, scaling, codec, home, source, int(state.step))
+
+
+def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
     """E ‖ε − ε̂(Z_t, t)‖² at a random t for each copy (paper, eq. 8), per real coordinate: 1 for ε̂ = 0.
 
-    Where velocities are predicted it is their error, ‖v − v̂‖² = ‖ε − ε̂‖² / α_t: of the large structure too,
-    which is decided where there is so much noise that ε tells nothing of it.
+    Where velocities are predicted it is their error, ‖v − v̂‖² = ‖ε − ε̂‖² / α_t: it also counts the large
+    structure, which is decided where there is so much noise that ε says nothing about it.
     """
     alphas = jnp.asarray(schedule(model), jnp.float32)
 

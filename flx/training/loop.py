@@ -86,13 +86,21 @@ def make_step(
     return step
 
 
-def train(run: Run, config: Train, init_params: Any, loss_fn: LossFn, batches: Batches) -> TrainState:
+def train(
+    run: Run,
+    config: Train,
+    init_params: Any,
+    loss_fn: LossFn,
+    batches: Batches,
+    save: Callable[[int, Any], None] | None = None,
+) -> TrainState:
     """Train from the newest checkpoint, or from `init_params`, to `config.steps`; return the state there.
 
     `loss_fn(params, batch, key) → (loss, scalars by name)` is pure; `batches(step)` is a pytree of fresh
-    arrays, of the same shapes at each step, made in a thread of its own. On SIGTERM or SIGINT the state is
-    saved and SystemExit(128 + signal) raised. Raises FloatingPointError at the first step with a number that
-    is not finite (the checkpoint before it stays), and ValueError where another process trains here.
+    arrays, of the same shapes at each step, made in a thread of its own. `save(step, averaged parameters)` is
+    called at each checkpoint. On SIGTERM or SIGINT the state is saved and SystemExit(128 + signal) raised.
+    Raises FloatingPointError at the first step with a number that is not finite (the checkpoint before it
+    stays), and ValueError where another process trains here.
     """
     with only_trainer(run), Checkpoints(run.checkpoints, writer=True) as checkpoints:
         state = initial_state(config, init_params)
@@ -119,6 +127,8 @@ def train(run: Run, config: Train, init_params: Any, loss_fn: LossFn, batches: B
                         log.add(done, under_way)  # first: a state that is not finite is never saved
                         log.write()
                         checkpoints.save(done, state)
+                        if save is not None:
+                            save(done, state.ema)
                         under_way = None
                     if last:
                         break

@@ -12,15 +12,18 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
-from flx.config import Experiment, FLDMExperiment, FLVAEExperiment
+from filelock import FileLock, Timeout
+
+from flx import __version__
+from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, from_json
 from flx.files import write_atomically
 
 STEERING = ("train.steps", "train.log_every", "train.checkpoint_every")  # may change between calls
+OPEN = ("model.latents", "model.invariants", "model.blocks")  # left open by records without a version
 _KINDS = {kind.__name__: kind for kind in (FLVAEExperiment, FLDMExperiment)}
 
 
@@ -48,6 +51,11 @@ class Run:
         return self.folder / "checkpoints"
 
     @property
+    def generator(self) -> Path:
+        """The trained model as one file, of the newest checkpoint."""
+        return self.folder / "generator.safetensors"
+
+    @property
     def metrics(self) -> Path:
         return self.folder / "metrics.csv"
 
@@ -70,7 +78,12 @@ def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
     if Path(name).name != name or name in ("", ".."):
         raise ValueError(f"{name!r} names no folder; give the run a name without slashes with --name")
     run = Run(Path(root) / name)
-    record = {"kind": type(experiment).__name__, "fingerprint": fingerprint, "config": asdict(experiment)}
+    record = {
+        "flx": __version__,
+        "kind": type(experiment).__name__,
+        "fingerprint": fingerprint,
+        "config": asdict(experiment),
+    }
     record = json.loads(json.dumps(record))  # as it reads back: tuples are lists
     if run.config.exists():
         _refuse_another(run, _read(run.config), record)
@@ -92,7 +105,7 @@ def load_config(folder: str | Path) -> Experiment:
     if not path.exists():
         raise ValueError(f"{folder} is not a run: it has no config.json; give a folder that `flx train` made")
     record = _read(path)
-    return _rebuild(_KINDS[record["kind"]], record["config"], f"{path}: config")
+    return from_json(_KINDS[record["kind"]], record["config"], f"{path}: config")
 
 
 def load_fingerprint(folder: str | Path) -> str:
@@ -102,32 +115,33 @@ def load_fingerprint(folder: str | Path) -> str:
 
 @contextlib.contextmanager
 def only_trainer(run: Run) -> Iterator[None]:
-    """Hold the run against a second trainer. The lock is the process's: it goes with it, however it ends.
+    """Hold the run against a second trainer. The lock is the process's: it ends with it, however it ends.
 
     Raises ValueError where another process, or another part of this one, trains in this folder.
     """
-    import fcntl  # POSIX; here, because only training needs it
-
     run.folder.mkdir(parents=True, exist_ok=True)
-    with open(run.folder / ".lock", "a+") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            holder = file.read().strip() or "unknown"
-            raise ValueError(
-                f"{run.folder} is being trained by process {holder}; wait for it, stop it, "
-                "or give this run another name with --name"
-            ) from None
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
+    holder = run.folder / ".trainer"
+    lock = FileLock(run.folder / ".lock", thread_local=False)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        number = holder.read_text().strip() if holder.exists() else "unknown"
+        raise ValueError(
+            f"{run.folder} is being trained by process {number}; wait for it, stop it, "
+            "or give this run another name with --name"
+        ) from None
+    try:
+        write_atomically(holder, str(os.getpid()).encode())
         yield
+    finally:
+        lock.release()
 
 
 def _refuse_another(run: Run, old: dict[str, Any], new: dict[str, Any]) -> None:
     """Raise ValueError where a recorded run is not the one asked for."""
     changed = [d for d in _differences(old["config"], new["config"]) if d[0] != "name"]
+    if "flx" not in old:  # it did not record what was left open
+        changed = [d for d in changed if not (d[0] in OPEN and d[1] is None)]
     told = [f"{place} = {was}, not {now}" for place, was, now in changed if place not in STEERING]
     if old["kind"] != new["kind"]:
         told = [f"an {old['kind']}, not an {new['kind']}"]
@@ -163,6 +177,8 @@ def _read(path: Path) -> dict[str, Any]:
         known = record["kind"] in _KINDS and isinstance(record["fingerprint"], str)
         if not known or not isinstance(record["config"], dict):
             raise KeyError("kind, fingerprint or config")
+        if "flx" not in record and record["kind"] == "FLDMExperiment":
+            record["config"]["model"] |= {"latents": None, "invariants": None}  # they were not the codec's
     except (ValueError, KeyError, TypeError) as error:
         message = f"{path} does not record a run ({error}); delete {path.parent} and train it again"
         raise ValueError(message) from None
@@ -172,29 +188,3 @@ def _read(path: Path) -> dict[str, Any]:
 def _visible(folder: Path) -> list[str]:
     """Names in a folder; hidden ones are locks and what a kill left of a file."""
     return sorted(p.name for p in folder.glob("*") if not p.name.startswith(".")) if folder.exists() else []
-
-
-def _rebuild(kind: Any, value: Any, place: str) -> Any:
-    """The value of type `kind` that the JSON value stands for."""
-    origin, inner = get_origin(kind), get_args(kind)
-    if is_dataclass(kind) and isinstance(value, dict):
-        hints = get_type_hints(kind)
-        names = [f.name for f in fields(kind)]
-        for name in dict.fromkeys([*value, *names]):
-            if name not in value or name not in names:
-                fault = "has no field" if name not in value else "has an unknown field"
-                raise ValueError(f"{place} {fault} {name!r}; use the version of flx that made it")
-        return kind(**{name: _rebuild(hints[name], value[name], f"{place}.{name}") for name in names})  # type: ignore[operator]
-    if origin in (Union, UnionType):
-        for option in inner:
-            with contextlib.suppress(ValueError):
-                return _rebuild(option, value, place)
-    elif origin is tuple and isinstance(value, list) and len(value) == len(inner):
-        return tuple(_rebuild(k, v, place) for k, v in zip(inner, value, strict=True))
-    elif origin is Literal and value in inner:
-        return value
-    elif kind is float and type(value) is int:
-        return float(value)
-    elif isinstance(kind, type) and type(value) is kind:
-        return value
-    raise ValueError(f"{place} is {value!r}, not a {getattr(kind, '__name__', kind)}; mend or delete it")

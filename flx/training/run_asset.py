@@ -16,6 +16,7 @@ from flx.assets.read import read_asset
 from flx.assets.vase import write_vase
 from flx.config import Surface
 from flx.files import write_atomically
+from flx.pipeline.generator import Source
 from flx.training.run import Run
 
 
@@ -43,6 +44,18 @@ def read_kept(run: Run, surface: Surface) -> Asset:
     if _old(run).exists():
         return read_asset(_old(run))
     return read_asset(*_places(run, surface))
+
+
+def source_of(run: Run, surface: Surface, asset: Asset) -> Source:
+    """The run's copy of its asset, as a generator takes it along."""
+    mesh, texture = (_old(run), None) if _old(run).exists() else _places(run, surface)
+    files = [path for path in run.asset.rglob("*") if path.is_file() and not path.name.startswith(".")]
+
+    def place(path: Path) -> str:
+        return path.relative_to(run.asset).as_posix()
+
+    contents = {place(path): read_file(path) for path in sorted(files)}
+    return Source(place(mesh), place(texture) if texture else None, asset.digest, contents)
 
 
 def _places(run: Run, surface: Surface) -> tuple[Path, Path | None]:

@@ -1,15 +1,15 @@
-"""How deep a denoising network is, and how much of the surface each vertex sees through it.
+"""How deep a denoising network is, and how much of the surface each vertex sees through it. NumPy only.
 
 Few rings, so that it learns what textures are made of and not the one texture (paper, "Denoising network").
 """
 
-import jax
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool
 
+from flx.config import FLDM, FLVAE, Blocks
 from flx.types import MeshTables, OneRings
-
-Blocks = tuple[int, int, int]  # fine before pooling, coarse, fine after
 
 # From the smallest network to the paper's, one block at a time; the first is taken whatever the mesh.
 _DEPTHS: tuple[Blocks, ...] = (
@@ -22,10 +22,35 @@ _DEPTHS: tuple[Blocks, ...] = (
     (2, 3, 4),
     (2, 4, 4),
 )
-
 _RINGS = (2, 4, 2)  # fine rings a block of each part looks further: two convolutions, one coarse ring is two
+_LARGEST_REACH = 0.085  # share of the vertices; the paper's 28 rings are 0.081 of 30K
 
-_LARGEST_REACH = 0.085  # of the vertices; the paper's 28 rings are 0.081 of 30K
+
+def complete(model: FLDM, codec: FLVAE, vertices: int) -> FLDM:
+    """The model that is really trained: what the experiment leaves open (None) follows from codec and mesh.
+
+    Raises ValueError where the experiment asks for something that the codec's codes do not fit.
+    """
+    for name in ("latents", "invariants"):
+        wanted, actual = getattr(model, name), getattr(codec, name)
+        if wanted is not None and wanted != actual:
+            raise ValueError(
+                f"model.{name} is {wanted} but the FL-VAE has {actual}; leave it out, or name another FL-VAE "
+                "with --weights"
+            )
+    network = model.network or ("mixed" if codec.invariants else "vectors")
+    if network == "vectors" and codec.invariants:
+        raise ValueError(
+            f"model.network is 'vectors' but {codec.invariants} of the FL-VAE's {codec.latents} channels are "
+            "invariant; use --model.network mixed, or --weights of an FL-VAE of vectors alone"
+        )
+    return replace(
+        model,
+        network=network,
+        latents=codec.latents,
+        invariants=codec.invariants,
+        blocks=model.blocks or blocks_for(vertices),
+    )
 
 
 def blocks_for(vertices: int) -> Blocks:
@@ -45,12 +70,13 @@ def reach(tables: MeshTables, blocks: Blocks, sources: int = 16) -> float:
     """The share of the vertices that can change the output at one vertex, the mean over `sources` of them.
 
     Breadth first through the network, backwards, pooling and the skip included. (The norms see the whole
-    surface, but only as one mean a channel.)
+    surface, but only as one mean for each channel.)
     """
-    fine, pooling, coarse = jax.tree.map(np.asarray, tables)
-    real = np.flatnonzero(fine.masses > 0)
+    fine, pooling, coarse = tables
+    real = np.flatnonzero(np.asarray(fine.masses) > 0)
     chosen = real[np.linspace(0, len(real) - 1, min(sources, len(real))).astype(int)]
     before, middle, after = blocks
+    parents = np.asarray(pooling.parents)
 
     def grown(seen: Bool[np.ndarray, "N S"], rings: OneRings, count: int) -> Bool[np.ndarray, "N S"]:
         for _ in range(2 * count):  # two convolutions a block
@@ -61,6 +87,6 @@ def reach(tables: MeshTables, blocks: Blocks, sources: int = 16) -> float:
     seen[chosen, np.arange(len(chosen))] = True
     seen = grown(seen, fine, after)
     clusters = np.zeros((len(coarse.masses), len(chosen)), bool)
-    np.logical_or.at(clusters, pooling.parents[real], seen[real])
-    below = grown(clusters, coarse, middle)[pooling.parents]
+    np.logical_or.at(clusters, parents[real], seen[real])
+    below = grown(clusters, coarse, middle)[parents]
     return float(grown(seen | below, fine, before)[real].mean())

@@ -1,12 +1,10 @@
 """The denoiser for codes that have invariant channels: vector fields and invariant fields side by side.
 
-The same two-level U-Net as `denoiser.vectors`, as deep, with the same reach. A convolution is the set of
+As deep as the paper's network, with the same reach. A convolution is the set of
 first-order stencils of `flx.fields.stencils` and, at each vertex, layers in which the two kinds meet:
 invariants see inner products of vectors and the embedding, vectors are scaled by invariants.
 Inside, fields are pairs [V, 2C] as there.
 """
-
-from collections.abc import Sequence
 
 import flax.linen as nn
 import jax
@@ -15,13 +13,11 @@ from jax import Array
 from jaxtyping import Complex, Float
 
 from flx.config import FLDM
-from flx.fields import algebra
-from flx.fields.convolution import pool, unpool
+from flx.fields import algebra, convolution
 from flx.fields.stencils import stencils
-from flx.models.denoiser.depth import Blocks
-from flx.models.denoiser.vectors import embed, small
+from flx.models.denoiser.unet import UNet, small
 from flx.models.layers import PairsDense, RealDense
-from flx.types import MeshTables, OneRings, Pooling
+from flx.types import OneRings, Pooling
 
 Fields = tuple[Float[Array, "..."], Float[Array, "..."]]  # vectors and invariants, [V, 2C] each
 
@@ -83,55 +79,37 @@ class MixedBlock(nn.Module):
         return (x, t), None
 
 
-class MixedDenoiser(nn.Module):
-    """ε(Z_t, t, ρ) where the last `config.invariants` channels of Z are invariant; for one mesh copy."""
+class MixedDenoiser(UNet):
+    """The U-Net whose features are vectors and invariants, as the channels of Z are."""
 
-    config: FLDM
-    blocks: Blocks
+    Block = MixedBlock
 
-    @nn.compact
-    def __call__(
-        self,
-        tables: MeshTables,
-        z: Complex[Array, "V D"],
-        t: Float[Array, ""],
-        rho: Float[Array, "V m"] | None = None,
-    ) -> Complex[Array, "V D"]:
-        """The noise in z at step t. Raises ValueError where ρ is not what `config.conditions` says."""
-        c = self.config
-        fine, pooling, coarse = tables
-        before, middle, after = self.blocks
-        embedding = embed(c, t, rho)
-        below = embedding if rho is None else embedding[pooling.centers]
+    def split(self, z: Complex[Array, "V D"]) -> Fields:
+        vectors, invariants = jnp.split(z, [self.config.code_channels[0]], -1)
+        return algebra.real_pairs(vectors), algebra.real_pairs(invariants)
 
-        kinds = [algebra.real_pairs(part) for part in jnp.split(z, [c.latents - c.invariants], -1)]
-        fields = self._dense(c.channels, "lift", kinds)
-        fields = self._run("before", before, fields, fine, embedding)
-        lower = self._dense(2 * c.channels, "widen", _between(pool, pooling, fields))
-        lower = self._run("coarse", middle, lower, coarse, below)
-        upper = self._dense(c.channels, "merge", _between(unpool, pooling, lower))
-        fields = self._dense(c.channels, "skip", fields)
-        fields = (fields[0] + upper[0], fields[1] + upper[1])
-        fields = self._run("after", after, fields, fine, embedding)
-        x = PairsDense(c.latents - c.invariants, c.precision, small, name="head")(fields[0])
-        y = RealDense(2 * c.invariants, c.precision, name="head_invariants")(fields[1])
-        return jnp.concatenate([_complex(x), _complex(y)], -1)
-
-    def _dense(self, features: int, name: str, fields: Sequence[Array]) -> Fields:
+    def dense(self, features: int, name: str, x: Fields) -> Fields:
         precision = self.config.precision
-        x = PairsDense(features, precision, name=name)(fields[0])
-        return x, RealDense(2 * features, precision, name=f"{name}_invariants")(fields[1])
+        vectors = PairsDense(features, precision, name=name)(x[0])
+        return vectors, RealDense(2 * features, precision, name=f"{name}_invariants")(x[1])
 
-    def _run(self, name: str, count: int, fields: Fields, rings: OneRings, embedding: Array) -> Fields:
-        """`count` blocks of one shape, scanned over stacked parameters: compiled once."""
-        scan = nn.scan(
-            MixedBlock,
-            variable_axes={"params": 0},
-            split_rngs={"params": True},
-            in_axes=(nn.broadcast, nn.broadcast),  # pyright: ignore[reportArgumentType]
-            length=count,
-        )
-        return scan(self.config, name=name)(fields, rings, embedding)[0]
+    def pool(self, pooling: Pooling, x: Fields) -> Fields:
+        return _between(convolution.pool, pooling, x)
+
+    def unpool(self, pooling: Pooling, y: Fields) -> Fields:
+        return _between(convolution.unpool, pooling, y)
+
+    def merge(self, upper: Fields, x: Fields) -> Fields:
+        upper = self.dense(self.config.channels, "merge", upper)
+        skipped = self.dense(self.config.channels, "skip", x)
+        return skipped[0] + upper[0], skipped[1] + upper[1]
+
+    def head(self, x: Fields) -> Complex[Array, "V D"]:
+        vectors, invariants = self.config.code_channels
+        precision = self.config.precision
+        a = PairsDense(vectors, precision, small, name="head")(x[0])
+        b = RealDense(2 * invariants, precision, name="head_invariants")(x[1])
+        return jnp.concatenate([_complex(a), _complex(b)], -1)
 
 
 def _complex(pairs: Float[Array, "V C2"]) -> Complex[Array, "V C"]:

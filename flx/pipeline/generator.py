@@ -1,0 +1,278 @@
+"""A trained model as one object: it makes new codes of a surface, and is kept as one file.
+
+The file is a safetensors with nothing executable in it: averaged weights and true configuration of the
+network, latent scaling, the FL-VAE, the files of the asset that it learnt from, and one triangulated copy of
+it. Using it needs neither the optimiser nor the run folder nor the copies of the training.
+"""
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, cast, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax.traverse_util import flatten_dict, unflatten_dict
+from jaxtyping import Complex64, Float64
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from flx import __version__
+from flx.assets.asset import Asset, Baked
+from flx.assets.formats.files import inside
+from flx.assets.read import read_asset
+from flx.config import FLDM, FLVAE, FLDMExperiment, from_json
+from flx.fields import samplers
+from flx.fields.algebra import tangent_noise
+from flx.fields.diffusion import Scaling
+from flx.files import write_atomically
+from flx.geometry.tables import mesh_tables
+from flx.models.denoiser.mixed import MixedDenoiser
+from flx.models.denoiser.unet import UNet, denoise, schedule
+from flx.models.denoiser.vectors import Denoiser
+from flx.pipeline.canvas import bake, open_canvas
+from flx.pipeline.codec import Codec
+from flx.types import MeshTables, Triangulation
+
+SamplerName = Literal["ddim", "dpm", "ancestral"]
+SAMPLERS: tuple[SamplerName, ...] = get_args(SamplerName)
+
+
+class Home(NamedTuple):
+    """A triangulated copy of a mesh, as sampling sees it."""
+
+    triangulation: Triangulation
+    tables: MeshTables
+
+
+class Source(NamedTuple):
+    """The files of the asset that a generator learnt from."""
+
+    mesh: str  # its name among `files`
+    texture: str | None  # the image that was given instead of the mesh's own
+    digest: str  # of the asset
+    files: dict[str, bytes]  # by their place under the asset's folder
+
+
+@dataclass(frozen=True)
+class Generator:
+    """What makes new codes of a surface.
+
+    `denoise(params, tables, z, t) → ε̂` is the seam: a network in training's stead may be any function that
+    is hashable (it is compiled once) and finds the noise in z on the tables of a mesh copy.
+    """
+
+    denoise: Callable[[Any, MeshTables, jax.Array, jax.Array], jax.Array]
+    params: Any
+    alphas: Float64[np.ndarray, "T"]  # the noise schedule
+    scaling: Scaling
+    codec: Codec
+    home: Home
+    source: Source
+    experiment: FLDMExperiment  # as it was trained
+    step: int  # steps trained
+
+    def sample(
+        self,
+        key: jax.Array,
+        copy: Any = None,
+        steps: int = 50,
+        sampler: SamplerName = "ddim",
+        hook: samplers.Hook | None = None,
+    ) -> Complex64[np.ndarray, "V D"]:
+        """New codes at the vertices of a copy: anything with `tables`, the generator's own unless given.
+
+        Args:
+            key: A JAX random key. Same key, same machine: same bits.
+            copy: The triangulation to sample on, from `flx.triangulate`.
+            steps: Evaluations of the network; "ancestral" takes all of the schedule instead.
+            sampler: "ddim" (deterministic), "dpm" (second order) or "ancestral" (DDPM).
+            hook: Called after each step with (z, s, key); what it returns goes on. z is scaled (`scaling`).
+
+        Raises ValueError for a sampler that is not known, and for more steps than the schedule has.
+        """
+        chosen = sampler_named(sampler, self.alphas, steps)
+        tables = jax.tree.map(jnp.asarray, (copy or self.home).tables)
+        rules = (self.denoise, chosen.step, chosen.memory, hook, self.codec.config.latents)
+        z = _draw(*rules, self.params, tables, chosen.table, key)
+        return self.scaling.to_latents(np.asarray(z))
+
+    @cached_property
+    def asset(self) -> Asset:
+        """The asset that it learnt from, read from its own files."""
+        folder = tempfile.TemporaryDirectory(prefix="flx-")
+        self.__dict__["_folder"] = (
+            folder  # lives as long as the generator: an OBJ copies its maps when written
+        )
+        for name, content in self.source.files.items():
+            write_atomically(inside(Path(folder.name), name), content)
+        texture = self.source.texture and Path(folder.name, self.source.texture)
+        return read_asset(Path(folder.name, self.source.mesh), texture or None)
+
+
+def generate(
+    generator: Generator,
+    count: int = 4,
+    seed: int = 0,
+    steps: int = 50,
+    sampler: SamplerName = "ddim",
+    texture_size: int | None = None,
+    asset: Asset | None = None,
+) -> Iterator[Baked]:
+    """New textures of the asset that the generator learnt from, one after another.
+
+    Variation n depends on the seed and n alone. `asset`: the same asset, where it was given an atlas.
+    `texture_size`: pixels on the longer side; the input's, at most 2048, unless given.
+    """
+    canvas = open_canvas(asset or generator.asset, generator.home.triangulation, texture_size)
+    for n in range(count):
+        key = jax.random.fold_in(jax.random.key(seed), n)
+        yield bake(canvas, generator.codec, generator.sample(key, None, steps, sampler))
+
+
+def sampler_named(name: str, alphas: Float64[np.ndarray, "T"], steps: int) -> samplers.Sampler:
+    """Raises ValueError for a name that is not known, and for more steps than the schedule has."""
+    if name == "ancestral":
+        return samplers.ancestral(alphas)
+    if name not in SAMPLERS:
+        raise ValueError(f"there is no sampler {name!r}; choose one of {', '.join(SAMPLERS)}")
+    return {"ddim": samplers.ddim, "dpm": samplers.dpm_solver}[name](alphas, steps)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
+def _draw(denoise, step, memory, hook, channels, params, tables, table, key):
+    """Codes as they are diffused, from the noise of a key."""
+    of_start, of_steps = jax.random.split(key)
+    start = tangent_noise(of_start, (len(tables.fine.masses), channels))
+    sampler = samplers.Sampler(table, step, memory)
+    return samplers.reverse(lambda z, t: denoise(params, tables, z, t), sampler, start, of_steps, hook)
+
+
+# --- a learnt one
+
+
+class LearntDenoiser(NamedTuple):
+    """A trained network as a generator calls it."""
+
+    network: UNet
+
+    def __call__(self, params: Any, tables: MeshTables, z: jax.Array, t: jax.Array) -> jax.Array:
+        return denoise(self.network, params, tables, z, t)
+
+
+def network_of(model: FLDM) -> UNet:
+    """The network of a complete model (see `flx.models.denoiser.depth.complete`)."""
+    assert model.blocks is not None
+    return (MixedDenoiser if model.network == "mixed" else Denoiser)(model, model.blocks)
+
+
+def learnt_generator(
+    experiment: FLDMExperiment,
+    params: Any,
+    scaling: Scaling,
+    codec: Codec,
+    home: Home,
+    source: Source,
+    step: int,
+) -> Generator:
+    """The generator that a trained network makes; `experiment.model` is complete."""
+    model = experiment.model
+    denoiser = LearntDenoiser(network_of(model))
+    return Generator(denoiser, params, schedule(model), scaling, codec, home, source, experiment, step)
+
+
+# --- as a file
+
+
+def save_generator(path: Path, generator: Generator) -> None:
+    """Write a learnt generator as one file, whole or not at all."""
+    surface = generator.experiment.surface
+    source = generator.source
+    # Names, not paths: the file may be passed on.
+    named = replace(
+        surface, path=Path(surface.path).name, texture=source.texture and Path(source.texture).name
+    )
+    record = {
+        "flx": __version__,
+        "step": generator.step,
+        "experiment": asdict(replace(generator.experiment, surface=named, weights=None)),
+        "codec": asdict(generator.codec.config),
+        "source": {"mesh": source.mesh, "texture": source.texture, "digest": source.digest},
+    }
+    tensors = {
+        **_flat("network", generator.params["params"]),
+        **_flat("codec", generator.codec.params["params"]),
+        "scaling": np.stack(generator.scaling).view(np.float32),
+        "home/vertices": np.asarray(generator.home.triangulation.vertices, np.float64),
+        "home/faces": np.asarray(generator.home.triangulation.faces, np.int32),
+        **{f"asset/{name}": np.frombuffer(content, np.uint8) for name, content in source.files.items()},
+    }
+    text = json.dumps(record)
+    metadata = {"generator": text, "sha256": _digest(tensors, text)}
+    write_atomically(path, save(tensors, metadata))
+
+
+def read_generator(path: Path) -> Generator:
+    """Read a file of `save_generator`. Nothing in it is executed.
+
+    Raises ValueError where the file is missing, damaged, or not a generator of this version.
+    """
+    try:
+        with safe_open(path, "numpy") as file:
+            metadata = file.metadata() or {}
+            text = metadata["generator"]
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        if _digest(tensors, text) != metadata["sha256"]:
+            raise ValueError("its content is not what was written")
+        return _parse(json.loads(text), tensors)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(
+            f"{path} cannot be used as a generator ({reason}); give a run folder of `flx train`, or the "
+            "generator.safetensors in it"
+        ) from None
+
+
+def _parse(record: dict[str, Any], tensors: dict[str, np.ndarray]) -> Generator:
+    experiment = cast(FLDMExperiment, from_json(FLDMExperiment, record["experiment"], "experiment"))
+    codec = Codec(cast(FLVAE, from_json(FLVAE, record["codec"], "codec")), _nested("codec", tensors))
+    surface, source = experiment.surface, record["source"]
+    shift, scale = tensors["scaling"].view(np.complex64)
+    if len(scale) != codec.config.latents:
+        raise ValueError(f"scaling of {len(scale)} channels for codes of {codec.config.latents}")
+    home = Triangulation(tensors["home/vertices"], tensors["home/faces"].astype(np.int64))
+    if not len(home.faces) or not 0 <= home.faces.min() <= home.faces.max() < len(home.vertices):
+        raise ValueError("a face of its triangulation names a vertex that is not there")
+    files = {n.removeprefix("asset/"): t.tobytes() for n, t in tensors.items() if n.startswith("asset/")}
+    return learnt_generator(
+        experiment,
+        _nested("network", tensors),
+        Scaling(shift, scale),
+        codec,
+        Home(home, mesh_tables(home, surface.slots, surface.seed)),
+        Source(source["mesh"], source["texture"], source["digest"], files),
+        record["step"],
+    )
+
+
+def _flat(prefix: str, params: Any) -> dict[str, np.ndarray]:
+    return {f"{prefix}/" + "/".join(name): np.asarray(leaf) for name, leaf in flatten_dict(params).items()}
+
+
+def _nested(prefix: str, tensors: dict[str, np.ndarray]) -> Any:
+    leaves = {n: jnp.asarray(t) for n, t in tensors.items() if n.startswith(f"{prefix}/")}
+    return {"params": unflatten_dict({tuple(n.split("/")[1:]): t for n, t in leaves.items()})}
+
+
+def _digest(tensors: dict[str, np.ndarray], text: str) -> str:
+    """SHA-256 of all that is in the file: a flipped bit is never loaded."""
+    digest = hashlib.sha256(text.encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tensor.shape}".encode())
+        digest.update(np.ascontiguousarray(tensor).data)
+    return digest.hexdigest()
