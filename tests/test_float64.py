@@ -92,7 +92,7 @@ class Network(NamedTuple):
 
     def code_turn(self, turn: np.ndarray) -> np.ndarray:
         """Factors [V, D]: vectors turn with the frames, invariant channels do not."""
-        vectors = np.arange(self.config.latents) < self.config.latents - self.config.invariants
+        vectors = np.arange(self.config.latents) < self.config.code_channels[0]
         return np.where(vectors, turn[:, None], 1)
 
 
