@@ -1,9 +1,9 @@
-"""A vase that flx paints itself, learnt at 5K vertices in about 11 minutes of 2 CPU cores.
+"""A vase that flx paints itself, learnt at 5,000 vertices in about 11 minutes on two CPU cores.
 
-  flx train experiments/demo.py && flx sample runs/demo --count 4
-  flx train experiments/demo.py --surface.path YOUR.glb      the same on your own mesh
+flx train experiments/demo.py && flx sample runs/demo --count 4
+flx train YOUR.glb                                                 the same settings on your own mesh
 
-The loss, 1 for an answer of zero, ends near 0.7.
+The loss, which is 1 for an output of zero, ends near 0.7.
 """
 
 from flx.config import FLDM, FLDMExperiment, Surface, Train
@@ -12,7 +12,7 @@ config = FLDMExperiment(
     name="demo",
     model=FLDM(
         network="mixed",  # the released codes have invariant channels
-        predicts="velocity",  # this and Muon: README, "Where we depart from it"
+        predicts="velocity",  # this and Muon: docs/paper.md, "Where flx departs from it"
         channels=48,  # paper: 96; what two cores can train in minutes
         precision="float32",  # bfloat16 is faster only where the CPU has AMX
     ),
