@@ -12,7 +12,7 @@ config = FLDMExperiment(
     name="demo",
     model=FLDM(
         network="mixed",  # the released codes have invariant channels
-        predicts="velocity",  # this and Muon: docs/paper.md, "Where flx departs from it"
+        predicts="velocity",  # this and Muon: README, "Where we depart from it"
         channels=48,  # paper: 96; what two cores can train in minutes
         precision="float32",  # bfloat16 is faster only where the CPU has AMX
     ),
