@@ -1,7 +1,9 @@
-"""What the FL-VAE is compared with: `flx train experiments/barycentric.py --images.folder FOLDER`.
+"""The codec that the FL-VAE is compared with: the ablation of the paper's table 1.
 
-Encoder, data and steps of experiments/flvae.py; the decoder interpolates invariants of the codes over each
-face and knows no place in it (the ablation of the paper's table 1).
+flx train experiments/barycentric.py --images.folder FOLDER
+
+Encoder, data and steps are those of experiments/flvae.py. The decoder interpolates invariants of the codes
+over each face, and does not know where in the face a point lies.
 """
 
 from dataclasses import replace

@@ -1,9 +1,10 @@
-"""A scanned bowl (Google Scanned Objects, Now_Designs_Bowl_Akita_Black) at 10K vertices.
+"""A scanned bowl (Google Scanned Objects, Now_Designs_Bowl_Akita_Black) at 10,000 vertices.
 
 flx train experiments/bowl.py --surface.path PATH/akita_black_bowl.obj
 flx sample runs/bowl --count 4
 
-On two CPU cores a step takes 0.8 s, all of it 40 minutes. The loss, 1 for an answer of zero, ends near 0.7.
+On two CPU cores a step takes 0.8 s, and the whole training 40 minutes. The loss, which is 1 for an output of
+zero, ends near 0.7.
 """
 
 from dataclasses import replace

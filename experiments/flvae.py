@@ -1,8 +1,10 @@
-"""The released field-latent VAE: `flx train experiments/flvae.py --images.folder FOLDER`.
+"""The released field-latent VAE.
 
-About 22 minutes on one core of a CPU. PSNR ends between 26 and 27 dB over the training's own patches, whose
-scales reach far beyond what 16 numbers a vertex can hold, and at 32.8 dB over held-out photographs. It is the
-frame codec, not the paper's transformer: see flx/models/frame.py.
+flx train experiments/flvae.py --images.folder FOLDER
+
+About 22 minutes on one CPU core. PSNR ends between 26 and 27 dB over the training patches, whose scales reach
+far beyond what 16 numbers for each vertex can hold, and at 32.8 dB over held-out photographs. It is the frame
+codec, not the paper's transformer: see flx/models/codec/frame.py.
 """
 
 from flx.config import FLVAE, FLVAEExperiment, Images, Train

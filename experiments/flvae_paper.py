@@ -1,7 +1,10 @@
-"""The paper's field-latent VAE: `flx train experiments/flvae_paper.py --images.folder FOLDER`.
+"""The paper's field-latent VAE.
 
-A VN-Transformer of eight layers and 128 channels, eight tangent vectors a vertex, L1 of each vertex's own
-field + 0.01 KL, 1.5M steps of about 16 one-rings. Meant for a GPU: on 2 CPU cores a step takes seconds.
+flx train experiments/flvae_paper.py --images.folder FOLDER
+
+A VN-Transformer of eight layers and 128 channels, eight tangent vectors for each vertex, L1 of each vertex's
+own field plus 0.01 KL, 1.5 million steps of about 16 one-rings. Meant for a GPU: on two CPU cores a step
+takes seconds.
 """
 
 from flx.config import FLVAE, FLVAEExperiment, Images, Train

@@ -1,6 +1,8 @@
-"""From file to GLB in about a minute of CPU: `flx train experiments/smoke.py --surface.path MESH`.
+"""From file to GLB in about a minute of CPU time, for tests.
 
-Too small and too short to be beautiful; it shows that everything is connected. The tests run it.
+flx train experiments/smoke.py --surface.path MESH
+
+Too small and too short for good textures; it shows that everything is connected.
 """
 
 from flx.config import FLDM, FLDMExperiment, Surface, Train
