@@ -44,7 +44,7 @@ def sample(options: Sample) -> Path:
     from flx.geometry.seams import seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
     from flx.pipeline.generator import generate, sampler_named
-    from flx.training.fldm import load_generator
+    from flx.training.load import load_generator
 
     check_size(options.texture_size)
     if options.count < 1 or options.steps < 1:

@@ -26,11 +26,10 @@ from flx.pipeline.generator import (
     Home,
     learnt_generator,
     network_of,
-    read_generator,
     save_generator,
 )
 from flx.training.loop import LossFn, TrainState, restore, train
-from flx.training.run import Run, load_config, open_run
+from flx.training.run import Run, open_run
 from flx.training.run_asset import keep, read_kept, read_source, source_of
 from flx.types import MeshTables
 
@@ -103,25 +102,11 @@ def seeds_of(experiment: FLDMExperiment) -> range:
     return range(experiment.surface.seed, experiment.surface.seed + experiment.surface.copies)
 
 
-def load_generator(path: str | Path) -> Generator:
-    """The generator in a file, or that of a run folder.
+def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
+    """The generator of a run without such a file, as earlier versions left it: from its newest checkpoint.
 
-    Raises ValueError where there is none: no run, one that has no checkpoint yet, the run of an FL-VAE, or a
-    damaged file.
+    Raises ValueError where the run has no checkpoint yet.
     """
-    path = Path(path)
-    if not path.is_dir():
-        if not path.exists():
-            raise ValueError(f"{path} does not exist; give a run folder of `flx train`, or a generator file")
-        return read_generator(path)
-    run, experiment = Run(path), load_config(path)
-    if not isinstance(experiment, FLDMExperiment):
-        raise ValueError(f"{path} is the run of an FL-VAE; sample one of `flx train experiments/demo.py`")
-    return read_generator(run.generator) if run.generator.exists() else _of_checkpoint(run, experiment)
-
-
-def _of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
-    """The generator of a run without such a file, as earlier versions left it: from its newest checkpoint."""
     surface, codec = experiment.surface, load_codec(experiment.weights)
     experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
     asset = read_kept(run, surface)
