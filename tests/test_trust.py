@@ -39,7 +39,7 @@ def test_a_pickle_in_the_place_of_tables_is_not_executed(tmp_path):
 
 def _names(folder: Path) -> list[str]:
     """What a file of tables holds."""
-    from shapes import icosphere
+    from helpers.surfaces import icosphere
 
     from flx.geometry.tables import mesh_tables
     from flx.pipeline.copies import save_tables

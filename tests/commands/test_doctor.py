@@ -1,0 +1,135 @@
+"""Laws of the doctor: what it counts is what was put in, and what it foresees follows from the surface."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.files import OBJ, obj
+from helpers.surfaces import random_sphere
+from PIL import Image
+
+from flx.assets.asset import Asset
+from flx.assets.read import read_asset
+from flx.commands.doctor import Findings, describe, examine
+from flx.config import FLDM, FLDMExperiment, Surface, Train
+from flx.launch import main
+
+PLAN = FLDMExperiment(surface=Surface(vertices=5000, copies=8), train=Train(steps=100, batch=1))
+
+
+def save(folder: Path, points: np.ndarray, uvs: np.ndarray, faces: np.ndarray, size=(64, 64)) -> Asset:
+    """An OBJ whose corners are rows of both arrays."""
+    Image.new("RGB", size, (9, 9, 9)).save(folder / "a.png")
+    (folder / "m.mtl").write_text("newmtl skin\nmap_Kd a.png\n")
+    lines = ["mtllib m.mtl", *(f"v {x} {y} {z}" for x, y, z in points), *(f"vt {u} {v}" for u, v in uvs)]
+    lines += ["usemtl skin", *("f " + " ".join(f"{i + 1}/{i + 1}" for i in face) for face in faces)]
+    (folder / "a.obj").write_text("\n".join(lines))
+    return read_asset(folder / "a.obj")
+
+
+def square(folder: Path, shift: float = 0.0, scale: float = 0.5, polygon: bool = False) -> Asset:
+    """Two unit squares side by side; the second one's place on the texture is `shift` further right."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    uvs = points[:, :2] * scale
+    points = np.concatenate([points, points + np.array([5, 0, 0])])
+    uvs = np.concatenate([uvs, uvs + np.array([shift, 0])])
+    faces = [[0, 1, 2, 3], [4, 5, 6, 7]] if polygon else [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    return save(folder, points, uvs, np.array(faces))
+
+
+def examined(asset: Asset, plan: FLDMExperiment = PLAN) -> Findings:
+    return examine(asset, plan)
+
+
+@pytest.mark.parametrize(
+    "shift, covered, overlapping", [(0.5, 0.5, 0.0), (0.25, 0.375, 1 / 3), (0, 0.25, 1), (1, 0.25, 1)]
+)
+def test_texels_shown_twice_are_counted_also_across_repetitions(tmp_path, shift, covered, overlapping):
+    findings = examined(square(tmp_path, shift))
+    assert findings.covered_texels == pytest.approx(covered, abs=0.02)
+    assert findings.overlapping_texels == pytest.approx(overlapping, abs=0.02)
+    assert any("more than once" in text for text in findings.warnings) == (overlapping > 0)
+
+
+def test_pixels_in_a_one_ring_are_three_shares_of_those_the_surface_has(tmp_path):
+    asset = square(tmp_path, 0.5)
+    pixels = 64 * 64 * 0.5
+    assert examined(asset).plan.ring_pixels == pytest.approx([3 * pixels / 5000] * 3)
+    few = FLDMExperiment(surface=Surface(vertices=500))
+    assert examined(asset, few).plan.ring_pixels == pytest.approx([3 * pixels / 500] * 3)
+    assert any("fewer vertices" in text for text in examined(asset).warnings)
+
+
+def test_polygons_are_cut_and_counted(tmp_path):
+    whole, cut = square(tmp_path, 0.5, polygon=True), square(tmp_path, 0.5)
+    assert (whole.report.polygons, cut.report.polygons) == (2, 0)
+    assert np.array_equal(whole.mesh.faces, cut.mesh.faces) and whole.digest == cut.digest
+    assert "polygons cut" in describe(whole.report) and "polygons cut" not in describe(cut.report)
+
+
+@pytest.mark.parametrize("turned, opened", [(False, False), (True, False), (True, True)])
+def test_closed_components_that_look_inwards_are_counted(tmp_path, turned, opened):
+    points, faces = random_sphere(40)
+    both = np.concatenate([points + np.array([100, 0, 0]), points - [0, 50, 0]])  # far from the origin
+    second = (faces[:, ::-1] if turned else faces)[opened:]
+    uvs = (both[:, :2] - both[:, :2].min(0)) / 200
+    findings = examined(save(tmp_path, both, uvs, np.concatenate([faces, second + len(points)])))
+    assert findings.inside_out_components == int(turned and not opened)
+
+
+def test_the_verdict_tells_repairs_and_warnings(tmp_path):
+    assert examined(square(tmp_path, 0.5, scale=0.99)).verdict.startswith("flx takes it (as it is)")
+    points, faces = random_sphere(40)
+    three = np.concatenate([faces, [[faces[0, 0], faces[0, 1], len(points)]], faces[1:2]])
+    asset = save(
+        tmp_path, np.vstack([points, 2 * points[:1]]), np.vstack([points, points[:1]])[:, :2] / 4, three
+    )
+    report, findings = asset.report, examined(asset)
+    assert (report.duplicate_faces, report.nonmanifold_edges) == (1, 1) and report.nonmanifold_vertices >= 1
+    cut = report.nonmanifold_edges + report.nonmanifold_vertices
+    assert f"1 faces dropped, {cut} edges and vertices cut" in findings.verdict
+    assert describe(report, findings).splitlines()[-1].endswith(findings.verdict)
+
+
+def test_the_estimate_grows_with_what_a_run_is_made_of(tmp_path):
+    asset = square(tmp_path, 0.5)
+    plan = examined(asset).plan
+    more = FLDMExperiment(
+        model=FLDM(channels=192), surface=Surface(vertices=5000, copies=16), train=Train(steps=200, batch=1)
+    )
+    twice = examined(asset, more).plan
+    assert twice.copy_seconds == 2 * plan.copy_seconds and twice.disk_bytes == 2 * plan.disk_bytes
+    assert twice.train_seconds == 4 * plan.train_seconds and twice.step_seconds == 2 * plan.step_seconds
+    assert twice.train_bytes > plan.train_bytes
+
+
+def test_the_command_prints_everything_as_json(tmp_path, capsys):
+    path = obj()(tmp_path)
+    assert main(["doctor", str(path), "--vertices", "4000", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["components"] == 1 and found["plan"]["vertices"] == 4000
+    assert found["verdict"].startswith("flx takes it") and "overlapping_texels" in found
+    assert main(["doctor", str(path)]) == 0
+    assert "verdict" in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_a_refusal_is_a_verdict_too(tmp_path, capsys):
+    path = obj(lambda text: text.replace("v 1 0 0", "v nan 0 0"))(tmp_path)
+    assert main(["doctor", str(path), "--json"]) == 2
+    said = capsys.readouterr()
+    assert json.loads(said.out)["verdict"].startswith("refused: ") and said.err.count("\n") == 1
+    assert main(["doctor", str(obj()(tmp_path)), "--vertices", "3"]) == 2
+    assert "surface.vertices is 3" in capsys.readouterr().err
+
+
+def test_limits_can_be_raised_and_are_checked(tmp_path, monkeypatch):
+    path = obj()(tmp_path)
+    monkeypatch.setenv("FLX_MAX_PIXELS", "15")
+    with pytest.raises(ValueError, match="4 × 4 pixels, more than 15"):
+        read_asset(path)
+    monkeypatch.setenv("FLX_MAX_PIXELS", "16")
+    assert read_asset(path).report.faces == OBJ.count("\nf ")
+    monkeypatch.setenv("FLX_MAX_PIXELS", "many")
+    with pytest.raises(ValueError, match="whole number"):
+        read_asset(path)

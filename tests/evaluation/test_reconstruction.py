@@ -1,0 +1,139 @@
+"""Laws of the table: a row for each mesh, method and vertex count; nothing is measured twice."""
+
+import json
+
+import numpy as np
+import pytest
+
+from flx.assets.vase import write_vase
+from flx.evaluation import reconstruction
+from flx.evaluation.reconstruction import markdown, means, reconstruction_table
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("table")
+    write_vase(folder / "vase.glb")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reconstruction, "installed_judges", lambda: ())
+        measure(folder, [400], ["vertex_colours"])
+        yield folder
+
+
+def measure(folder, vertices, methods, images=None):
+    return reconstruction_table(
+        [str(folder / "vase.glb")], vertices, methods, images, None, 128, 0, folder / "out"
+    )
+
+
+def refuse(subject):
+    raise AssertionError("measured again")
+
+
+def test_rows_that_are_there_are_kept_and_others_added(folder, monkeypatch):
+    first = json.loads((folder / "out" / "table.json").read_text())["rows"]
+    monkeypatch.setattr(reconstruction, "vertex_colours", refuse)
+    assert measure(folder, [400], ["vertex_colours"]) == first
+    rows = measure(folder, [400], ["vertex_colours", "flvae"])
+    assert rows[0] == first[0] and [row["method"] for row in rows] == ["vertex_colours", "flvae"]
+    for row in rows:
+        assert 8 < row["psnr"] < 40 and 0 < row["dssim"] < 0.5 and row["seconds"] > 0
+        assert row["vertices"] == 400 and row["mesh"].endswith("vase.glb")
+    assert (folder / "out" / "table.md").read_text() == markdown(rows)
+    measure(folder, [400], ["flvae"])
+    assert json.loads((folder / "out" / "table.json").read_text())["rows"] == [rows[1], rows[0]]
+    with pytest.raises(AssertionError, match="again"):  # another triangulation is another row
+        measure(folder, [300], ["vertex_colours"])
+
+
+def test_without_images_what_is_fitted_to_them_is_left_out_in_one_line(folder, capsys):
+    rows = measure(folder, [400], ["vertex_colours", "pca"])
+    assert [row["method"] for row in rows] == ["vertex_colours"]
+    said = [line for line in capsys.readouterr().err.splitlines() if "--images" in line]
+    assert len(said) == 1
+
+
+def test_means_are_over_meshes_for_each_method_and_count():
+    rows = [
+        {"mesh": mesh, "method": method, "vertices": 5, "psnr": value, "seconds": 1.0, "key": "k"}
+        for mesh, method, value in [("a", "x", 20.0), ("b", "x", 30.0), ("a", "y", 7.0)]
+    ]
+    x, y = means(rows)
+    assert (x["method"], x["psnr"], x["mesh"]) == ("x", 25.0, "mean of 2") and y["psnr"] == 7.0
+    lines = markdown(rows).splitlines()
+    assert len(lines) == 2 + 3 + 2 and "25.00" in lines[-2] and "key" not in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("methods", "content", "named"), [(["magic"], None, "magic"), (["flvae"], "[1]", "table.json")]
+)
+def test_wrong_input_is_refused_and_nothing_lost(folder, tmp_path, methods, content, named):
+    if content:
+        (tmp_path / "table.json").write_text(content)
+    with pytest.raises(ValueError, match=named):
+        reconstruction_table([str(folder / "vase.glb")], [400], methods, None, None, 128, 0, tmp_path)
+    assert not content or (tmp_path / "table.json").read_text() == content
+
+
+def test_colours_reach_the_texels_of_their_points(folder):
+    """The whole way of a row with an exact method: the texels' own colours leave no error."""
+    from helpers.surfaces import icosphere
+
+    from flx.assets.read import read_asset
+    from flx.evaluation.fidelity import fidelity
+    from flx.geometry.sampling import surface_colors
+    from flx.pipeline.canvas import CHUNK, open_canvas, painted
+
+    asset = read_asset(folder / "vase.glb")
+    size = max(asset.mesh.textures[0].shape[:2])
+    canvas = open_canvas(asset, icosphere(2), size)
+    colors = surface_colors(asset.mesh, canvas.atlases[0].points)
+    parts = np.split(colors, range(CHUNK, len(colors), CHUNK))
+    assert len(parts) > 1
+    assert fidelity(asset, painted(canvas, iter(parts)))["psnr"] > 100
+    assert fidelity(asset, painted(canvas, (1 - part for part in parts)))["psnr"] < 20
+
+
+def test_chunks_are_asked_where_the_texels_are(folder):
+    """On its own triangles, a texel's corners and weights lead back to its place on the surface, in order."""
+    from flx.assets.read import read_asset
+    from flx.pipeline.canvas import chunks, open_canvas
+    from flx.types import Triangulation
+
+    asset = read_asset(folder / "vase.glb")
+    vertices, faces = asset.mesh.vertices, asset.mesh.faces
+    canvas = open_canvas(asset, Triangulation(vertices, faces), 128)
+    assert canvas.atlases[0] is not None
+    points = canvas.atlases[0].points
+    places = [np.einsum("pkx,pk->px", vertices[part.vertices], part.barycentrics) for part in chunks(canvas)]
+    expected = np.einsum("pkx,pk->px", vertices[faces[points.faces]], points.barycentrics)
+    np.testing.assert_allclose(np.concatenate(places), expected, atol=1e-5 * np.ptp(vertices))
+
+
+def test_an_image_is_laid_on_a_sheet_of_its_proportions(tmp_path):
+    """Nothing of it is hidden or turned: as a sheet's texture, upright, it is the image itself."""
+    from PIL import Image
+
+    picture = np.random.default_rng(0).integers(0, 256, (40, 60, 3)).astype(np.uint8)
+    Image.fromarray(picture).save(tmp_path / "picture.png")
+    asset = reconstruction.read_sheet(tmp_path / "picture.png")
+    np.testing.assert_array_equal(asset.mesh.textures[0], picture)
+    size = np.ptp(asset.mesh.vertices, axis=0)
+    np.testing.assert_allclose(size / size[1], [1.5, 1, 0])
+    u, v = asset.mesh.corner_uvs.reshape(-1, 2).T  # they run right and down
+    x, y, _ = (asset.mesh.vertices[asset.mesh.faces] / size[1]).reshape(-1, 3).T
+    np.testing.assert_allclose([u, v], [x / 1.5, 1 - y], atol=1e-6)
+    rows = reconstruction_table(
+        [str(tmp_path / "picture.png")],
+        [300],
+        ["vertex_colours"],
+        None,
+        None,
+        None,
+        0,
+        tmp_path / "out",
+        True,
+    )
+    assert rows[0]["psnr"] > 8
+    (atlas,) = (tmp_path / "out").glob("picture-300-vertex_colours-*.png")
+    assert Image.open(atlas).size == (60, 40)
