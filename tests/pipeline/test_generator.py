@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.surfaces import icosphere
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapes import icosphere
 
 from flx.assets.read import read_asset
 from flx.config import FLDM, FLDMExperiment, Surface
