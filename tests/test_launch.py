@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -152,3 +153,52 @@ def test_a_number_out_of_its_range_is_refused_before_anything_is_made(trained, f
 def test_a_misspelt_field_is_answered_with_the_nearest_one(trained):
     said = flx("train", SMOKE, "--train.stepz", "3", cwd=trained, status=2).stderr
     assert "--train.steps" in said
+
+
+def test_the_generator_alone_samples_the_same_files(trained, sampled, tmp_path):
+    """Neither the run folder nor the mesh is needed: the one file in an empty folder."""
+    content = (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
+    (tmp_path / "vase.safetensors").write_bytes(content)
+    arguments = ["vase.safetensors", "--count", "1", "--steps", "4", "--texture-size", "256"]
+    assert flx("sample", *arguments, cwd=tmp_path).stdout.strip() == "samples"
+    for name in ("variation_00.glb", "variation_00.png"):
+        assert (tmp_path / "samples" / name).read_bytes() == (sampled / name).read_bytes()
+
+
+def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampled, tmp_path):
+    """It has no generator file, and its config says what the model then was thought to be."""
+    run = tmp_path / "runs" / "smoke"
+    shutil.copytree(trained / "runs" / "smoke", run, ignore=shutil.ignore_patterns("samples", "generator*"))
+    record = json.loads((run / "config.json").read_bytes())
+    del record["flx"]
+    record["config"]["model"] |= {"latents": 8, "invariants": 0, "blocks": None}
+    (run / "config.json").write_text(json.dumps(record))
+    flx(
+        "sample",
+        "runs/smoke",
+        "--count",
+        "1",
+        "--steps",
+        "4",
+        "--texture-size",
+        "256",
+        "--out",
+        "a",
+        cwd=tmp_path,
+    )
+    assert (tmp_path / "a" / "variation_00.glb").read_bytes() == (sampled / "variation_00.glb").read_bytes()
+    shutil.copy(trained / "vase.glb", tmp_path)
+    flx("train", SMOKE, "--surface.path", "vase.glb", cwd=tmp_path)
+    new = (run / "generator.safetensors").read_bytes()
+    assert new == (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
+    assert json.loads((run / "config.json").read_bytes())["config"]["model"]["invariants"] == 3
+
+
+def test_a_mesh_needs_no_config(trained):
+    """The demo's settings, the run named after the file; every field is an option all the same."""
+    few = ["--train.steps", "2", "--train.warmup", "0", "--surface.vertices", "300", "--surface.copies", "1"]
+    arguments = ["train", "vase.glb", *few, "--model.channels", "4"]
+    assert flx(*arguments, cwd=trained).stdout.strip() == "runs/vase"
+    config = json.loads((trained / "runs" / "vase" / "config.json").read_bytes())["config"]
+    assert config["surface"]["path"] == "vase.glb" and config["train"]["optimizer"] == "muon"
+    assert (trained / "runs" / "vase" / "generator.safetensors").exists()
