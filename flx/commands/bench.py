@@ -5,7 +5,6 @@ import platform
 import resource
 import statistics
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +17,7 @@ import optax
 from scipy.spatial import ConvexHull
 
 from flx.assets.read import read_asset
-from flx.assets.vase import write_vase
+from flx.assets.vase import vase_asset
 from flx.config import FLDM, FLVAE
 from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.fields.convolution import Filter
@@ -128,12 +127,7 @@ def _median_seconds(call: Callable[[], Any], repeats: int) -> float:
 
 def mesh_rows(path: Path | None, texture: Path | None = None) -> list[dict[str, Any]]:
     """The stages of the geometry on a mesh file, or on the vase."""
-    if path is not None:
-        return geometry_rows(read_asset(path, texture).mesh)
-    with tempfile.TemporaryDirectory() as folder:
-        vase = Path(folder) / "vase.glb"
-        write_vase(vase)
-        return geometry_rows(read_asset(vase).mesh)
+    return geometry_rows((vase_asset() if path is None else read_asset(path, texture)).mesh)
 
 
 def machine() -> dict[str, Any]:

@@ -10,7 +10,7 @@ from flx.assets.asset import Format
 from flx.assets.preflight import check_output
 from flx.assets.read import read_asset
 from flx.assets.unwrap import prepared_for
-from flx.assets.write import write_atlases, write_baked, write_png
+from flx.assets.write import write, write_atlases, write_png
 from flx.commands.bench import peak_bytes
 from flx.config import Surface
 from flx.evaluation.fidelity import fidelity
@@ -62,7 +62,7 @@ def reconstruct(
         "seconds": round(seconds, 2),
         "peak_bytes": peak_bytes(),
     }
-    write_baked(asset, baked, out / f"reconstruction.{format}")
+    write(asset, baked, out / f"reconstruction.{format}")
     write_atlases(asset, baked, out / f"reconstruction.{format}")
     write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], up, 512))
     write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())

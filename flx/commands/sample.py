@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from flx.assets.asset import Baked, Format
+from flx.assets.asset import Format, Painting
 from flx.assets.preflight import check_output
 from flx.assets.unwrap import prepared_for
-from flx.assets.write import write_atlases, write_baked, write_png
+from flx.assets.write import write, write_atlases, write_png
 from flx.config import FLDMExperiment
 from flx.fields import samplers
 from flx.fields.algebra import tangent_noise
@@ -76,12 +76,12 @@ def sample(
 
     asset = prepared_for(asset, format)
     canvas = open_canvas(asset, home.triangulation, texture_size)
-    variations: list[Baked] = []
+    variations: list[Painting] = []
     for n in tqdm(range(count), desc="variations", unit="texture", dynamic_ncols=True):
         key = jax.random.fold_in(jax.random.key(seed), n)
         z = np.asarray(draw(state.ema, home.tables, key))
         baked = bake(canvas, codec, scaling.to_latents(z))
-        write_baked(asset, baked, files[n])
+        write(asset, baked, files[n])
         write_atlases(asset, baked, files[n])
         variations.append(baked)
     names = [f"variation {n:02d}" for n in range(count)]

@@ -7,15 +7,16 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from skimage.metrics import structural_similarity
 
-from flx.assets.asset import Baked
+from flx.assets.asset import Painting, own_painting
 from flx.evaluation.lpips import Judge
 from flx.geometry.atlas import fill_gutter
-from flx.pipeline.canvas import Canvas, bake_back, resized
+from flx.geometry.color import resized
+from flx.pipeline.canvas import Canvas
 
 WINDOW = 11  # pixels a side of the Gaussian windows of DSSIM; smaller pictures are continued to that
 
 
-def fidelity(canvas: Canvas, baked: Baked, judges: Sequence[Judge] = ()) -> dict[str, float]:
+def fidelity(canvas: Canvas, baked: Painting, judges: Sequence[Judge] = ()) -> dict[str, float]:
     """PSNR, DSSIM and each judge's LPIPS of new textures against the asset's own.
 
     Over covered texels of all textures. Vertex-coloured assets have no atlas: only a PSNR, over the vertices.
@@ -23,14 +24,12 @@ def fidelity(canvas: Canvas, baked: Baked, judges: Sequence[Judge] = ()) -> dict
     asset = canvas.asset
     if not canvas.atlases:
         used = np.unique(asset.corner_vertices)
-        own = bake_back(asset).colors
+        own = own_painting(asset).colors
         return {"psnr": psnr(float(np.mean((own[used] - baked.colors[used]) ** 2)))}
     distances, weights = [], []
     for atlas, own, new in zip(canvas.atlases, asset.mesh.textures, baked.images, strict=True):
-        if atlas is None or not len(atlas.rows):
+        if atlas is None or not (covered := atlas.covered).any():
             continue
-        covered = np.zeros(new.shape[:2], bool)
-        covered[atlas.rows, atlas.columns] = True
         distances.append(compare(resized(own, *new.shape[:2]), new, covered, judges))
         weights.append(covered.sum())
     means = {name: float(np.average([d[name] for d in distances], weights=weights)) for name in distances[0]}
