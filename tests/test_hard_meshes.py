@@ -23,7 +23,7 @@ from flx.geometry.remesh.remesh import remesh
 from flx.geometry.repair import repair
 from flx.geometry.tables import mesh_tables, one_rings
 from flx.geometry.tangent import mean_vertex_radius, tangent_frames
-from flx.types import SurfacePoints, TexturedMesh, Triangulation
+from flx.types import Layer, SurfacePoints, TexturedMesh, Triangulation
 
 BLUE, RED = np.array([0.1, 0.2, 0.9], np.float32), np.array([0.9, 0.3, 0.1], np.float32)
 DEPTH = 16
@@ -43,7 +43,10 @@ def sleeve(thickness: float, around: int = 48) -> TexturedMesh:
     inside = row[faces].min(1) < DEPTH
     colors = np.where(inside[:, None, None], BLUE, RED).repeat(3, 1).astype(np.float32)
     return TexturedMesh(
-        points, faces, np.zeros((*faces.shape, 2)), np.zeros(len(faces), np.int64), (), colors
+        points,
+        faces,
+        {"base_color": Layer((), np.zeros(len(faces), np.int64), np.zeros((*faces.shape, 2)))},
+        colors,
     )
 
 

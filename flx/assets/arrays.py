@@ -35,7 +35,7 @@ def from_arrays(
     """An asset of triangles with an image, or with colours at its vertices.
 
     `uvs` [V, 2] or, for each corner, [F, 3, 2] run right and down; `image` [H, W, 3 or 4] and `colors`
-    [V, 3 or 4] are uint8, or numbers in [0, 1], all sRGB. Raises ValueError where something is wrong with them.
+    [V, 3 or 4] are uint8, or numbers in [0, 1], all sRGB. Raises ValueError for what cannot be used.
     """
     points, triangles = _numbers(vertices, "vertices", (None, 3)), _faces(faces)
     if not len(triangles) or not len(points):

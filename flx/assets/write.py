@@ -249,11 +249,12 @@ def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
     ends = np.cumsum([len(part.positions) for part in asset.parts])
     colors = None if asset.textures else np.split(painting.colors, ends[:-1])
     own: dict[Slot, Images] = {slot: layer.images for slot, layer in asset.mesh.maps.items()}
-    maps = painting.maps if isinstance(asset.container, Gltf) else {**own, **painting.maps}
-    pngs: dict[Slot, dict[int, bytes]] = {
-        slot: {i: encode_png(images[i], t.alpha) for i, t in enumerate(asset.sources[slot]) if not t.flat}
-        for slot, images in maps.items()
-    }
+    kept = {} if isinstance(asset.container, Gltf) else own
+    maps: dict[Slot, Images] = {**kept, **painting.maps}
+    pngs: dict[Slot, dict[int, bytes]] = {}
+    for slot, images in maps.items():
+        textures = enumerate(asset.sources[slot])
+        pngs[slot] = {i: encode_png(images[i], t.alpha) for i, t in textures if not t.flat}
     file = asset.container
     if not isinstance(file, Gltf):
         return glb.build_gltf(_name(asset), asset.parts, asset.paints, pngs, colors)
