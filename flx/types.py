@@ -15,23 +15,58 @@ W coarse vertices, M children slots, P points on the surface. A batch of mesh co
 Arrays are NumPy or JAX, hence `Any`; importing this module loads neither jax nor flax.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple
 
-from jaxtyping import Complex64, Float32, Float64, Int, Int32, UInt8
+from jaxtyping import Complex64, Float32, Float64, Int, Int32, UInt
+
+Slot = Literal["base_color", "normal", "metallic_roughness", "occlusion", "emissive"]  # as glTF means them
+
+
+class Layer(NamedTuple):
+    """The images of one slot, and where each corner reads them.
+
+    All have three channels of 8 or 16 bits, also where glTF uses fewer: roughness is green and metallic blue,
+    occlusion red. A material without an image has a small one of its flat value.
+    """
+
+    images: tuple[UInt[Any, "_ _ 3"], ...]
+    face_images: Int[Any, "F"]  # index into `images`
+    corner_uvs: Float64[Any, "F 3 2"]  # may leave [0, 1]: the texture repeats
 
 
 class TexturedMesh(NamedTuple):
-    """A repaired triangle mesh and the colour of every point on it.
+    """A repaired triangle mesh and the colour of every point on it, and its other maps where they were read.
 
-    Colour comes from `textures` at `corner_uvs`, or, where `textures` is empty, from `corner_colors`.
+    There always is a layer of base colours. Where it has no images, colour comes from `corner_colors`.
     """
 
     vertices: Float64[Any, "V 3"]  # in the file's units
     faces: Int[Any, "F 3"]  # counter-clockwise seen from outside
-    corner_uvs: Float64[Any, "F 3 2"]  # may leave [0, 1]: the texture repeats
-    face_textures: Int[Any, "F"]  # index into `textures`
-    textures: tuple[UInt8[Any, "H W 3"], ...]
-    corner_colors: Float32[Any, "F 3 3"]  # zeros where the mesh has textures
+    maps: Mapping[Slot, Layer]
+    corner_colors: Float32[Any, "F 3 3"]  # zeros where the mesh has base colour images
+
+    @property
+    def textures(self) -> tuple[UInt[Any, "_ _ 3"], ...]:
+        """The base colour images."""
+        return self.maps["base_color"].images
+
+    @property
+    def face_textures(self) -> Int[Any, "F"]:
+        return self.maps["base_color"].face_images
+
+    @property
+    def corner_uvs(self) -> Float64[Any, "F 3 2"]:
+        return self.maps["base_color"].corner_uvs
+
+    def with_layer(self, slot: Slot = "base_color", **changes: Any) -> "TexturedMesh":
+        """The mesh with some fields of one layer changed."""
+        return self._replace(maps={**self.maps, slot: self.maps[slot]._replace(**changes)})
+
+
+def is_srgb(slot: Slot) -> bool:
+    """Whether a slot's images are sRGB; the others hold linear numbers (glTF 2.0, section 3.9.2)."""
+    return slot in ("base_color", "emissive")
 
 
 class Triangulation(NamedTuple):

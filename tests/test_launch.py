@@ -14,7 +14,9 @@ import pytest
 import trimesh
 from PIL import Image
 
-from flx.assets.vase import write_vase
+from flx.assets.asset import own_painting
+from flx.assets.vase import vase_asset
+from flx.assets.write import write
 
 ROOT = Path(__file__).parent.parent
 SMOKE = str(ROOT / "experiments" / "smoke.py")
@@ -31,7 +33,7 @@ def flx(*arguments: str, cwd: Path, status: int = 0) -> subprocess.CompletedProc
 def trained(tmp_path_factory) -> Path:
     """A folder with the vase, and a run of the smoke experiment that was killed and called again."""
     folder = tmp_path_factory.mktemp("flx")
-    write_vase(folder / "vase.glb")
+    write(vase := vase_asset(), own_painting(vase), folder / "vase.glb")
     arguments = ["train", SMOKE, "--surface.path", "vase.glb"]
     killed = subprocess.Popen([sys.executable, "-m", "flx.launch", *arguments], cwd=folder)
     first = folder / "runs" / "smoke" / "checkpoints" / "10"

@@ -1,14 +1,16 @@
-"""A mesh file in memory: `Asset` as it was read, `Report` of its repairs, `Baked` colours to write back."""
+"""A mesh file in memory: `Asset` as it was read, `Report` of its repairs, a `Painting` to write back."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from jaxtyping import Float32, Int, UInt8
+import numpy as np
+from jaxtyping import Float32, Int, UInt, UInt8
 
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.obj_source import ObjSource
 from flx.assets.formats.parts import Paint, Part
-from flx.types import TexturedMesh
+from flx.types import Slot, TexturedMesh
 
 
 class Texture(NamedTuple):
@@ -17,7 +19,7 @@ class Texture(NamedTuple):
     name: str
     alpha: UInt8[Any, "H W"] | None
     flat: bool  # made from a material's colour: never replaced
-    made_from: str = ""  # what it was, if not 8-bit RGB: "16-bit grey"
+    made_from: str = ""  # what it was, if not RGB of 8 bits: "16-bit grey"
 
 
 class Report(NamedTuple):
@@ -57,24 +59,48 @@ class Report(NamedTuple):
 
 
 class Asset(NamedTuple):
-    """A mesh to work on, and all that is needed to give the file back with other colours."""
+    """A mesh to work on, and all that is needed to give the file back with other maps."""
 
     path: Path
     mesh: TexturedMesh
     report: Report
     parts: tuple[Part, ...]
     paints: tuple[Paint, ...]  # by `Part.material`
-    textures: tuple[Texture, ...]  # beside `mesh.textures`
+    sources: Mapping[Slot, tuple[Texture, ...]]  # beside the images of `mesh.maps`
+    map_names: Mapping[
+        Slot, tuple[str, ...]
+    ]  # what the file calls the images of its other slots, read or not
     corner_vertices: Int[Any, "F 3"]  # the original vertex of each corner, counted through the parts
     container: Gltf | ObjSource | None  # the file, if it was GLB, glTF or OBJ
-    digest: str  # SHA-256 of geometry and colours
+    digest: str  # SHA-256 of geometry and colours, and of other maps that were read
+
+    @property
+    def textures(self) -> tuple[Texture, ...]:
+        """Beside `mesh.textures`, the base colour images."""
+        return self.sources["base_color"]
 
 
 Format = Literal["glb", "obj", "ply"]
+Images = Sequence[UInt[Any, "_ _ 3"]]
 
 
-class Baked(NamedTuple):
-    """New colours of an asset: an image for each of its textures, or a colour for each of its vertices."""
+class Painting(NamedTuple):
+    """New maps of an asset: images, of 8 or 16 bits, for each of its own in some slots; or vertex colours.
 
-    images: tuple[UInt8[Any, "_ _ 3"], ...]
-    colors: Float32[Any, "V 3"]
+    Slots that are left out keep what they have.
+    """
+
+    maps: Mapping[Slot, Images]
+    colors: Float32[Any, "V 3"] = np.zeros((0, 3), np.float32)
+
+    @property
+    def images(self) -> Images:
+        """The base colour images."""
+        return self.maps.get("base_color", ())
+
+
+def own_painting(asset: Asset) -> Painting:
+    """The asset's own images in the slots that were read, or the colours of its original vertices."""
+    colors = np.zeros((asset.report.vertices_read, 3), np.float32)  # black where repair dropped all faces
+    colors[asset.corner_vertices.ravel()] = asset.mesh.corner_colors.reshape(-1, 3)
+    return Painting({slot: layer.images for slot, layer in asset.mesh.maps.items() if layer.images}, colors)

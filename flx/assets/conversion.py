@@ -26,18 +26,18 @@ def left_behind(asset: Asset, format: str) -> str:
     source = asset.container
     if is_kept(asset, format):
         return ""
-    found = _counted({"polygon": asset.report.polygons})
+    lost = _counted({"polygon": asset.report.polygons})
     if isinstance(source, Gltf):
-        found += _of_gltf(asset, source)
+        lost += _of_gltf(asset, source)
     elif isinstance(source, ObjSource):
-        found += _of_obj(asset, source, format)
-    found += _few(word for word in asset.report.unread if word != ASCII or format == "ply")
+        lost += _of_obj(asset, source, format)
+    lost += _few(word for word in asset.report.unread if word != ASCII or format == "ply")
     if asset.textures and any(part.colors is not None for part in asset.parts):
-        found.append("vertex colours")
+        lost.append("vertex colours")
     if format == "ply":
-        found += ["materials"] * (source is not None)
-        found += ["texture coordinates"] * any(part.uvs is not None for part in asset.parts)
-    return ", ".join(dict.fromkeys(found))
+        lost += ["materials"] * (source is not None)
+        lost += ["texture coordinates"] * any(part.uvs is not None for part in asset.parts)
+    return ", ".join(dict.fromkeys(lost))
 
 
 def dangling(asset: Asset, format: str) -> str:
@@ -78,47 +78,47 @@ def _of_obj(asset: Asset, source: ObjSource, format: str) -> list[str]:
     see_through = {
         asset.textures[p.texture].name for p in asset.paints if p.alpha_mode != "OPAQUE" and p.texture >= 0
     }
-    found = _few(name for name in names_beside(asset, source) if name not in see_through)
+    lost = _few(name for name in names_beside(asset, source) if name not in see_through)
     tinted = any(_is_image(asset, p.texture) and p.color != (1.0, 1.0, 1.0) for p in asset.paints)
     keys = [key for library in source.libraries.values() for key in properties(library)]
-    found += _few(["Kd"] * tinted + keys)
-    found += _few(asset.report.ignored_options)
+    lost += _few(["Kd"] * tinted + keys)
+    lost += _few(asset.report.ignored_options)
     counts = obj_source.structure(source)
     if format == "glb" and counts["object"] == 1:  # it gives the mesh its name
         counts["object"] = 0
-    return found + _counted(counts) + ["lines and points"] * obj_source.has_lines(source)
+    return lost + _counted(counts) + ["lines and points"] * obj_source.has_lines(source)
 
 
 def _of_gltf(asset: Asset, source: Gltf) -> list[str]:
     document = source.document
     materials = document.get("materials", [])
-    found = _few(glb.other_images(source)) + _few(_material_words(materials))
+    lost = _few(glb.other_images(source)) + _few(_material_words(materials))
     primitives = [p for mesh in document.get("meshes", []) for p in mesh.get("primitives", [])]
     attributes = {key: None for p in primitives for key in p.get("attributes", {}) if key not in WRITTEN}
-    found += _few(attributes)
+    lost += _few(attributes)
     colors = [p["attributes"]["COLOR_0"] for p in primitives if "COLOR_0" in p.get("attributes", {})]
     if not asset.textures and any(document["accessors"][i].get("type") == "VEC4" for i in colors):
-        found.append("vertex alpha")
-    found += ["lines and points"] * any(p.get("mode", gltf.TRIANGLES) < gltf.TRIANGLES for p in primitives)
-    found += ["morph targets"] * any("targets" in p for p in primitives)
-    found += [key for key in ("animations", "skins", "cameras") if document.get(key)]
-    found += _few(e for e in document.get("extensionsUsed", []) if e not in APPLIED)
-    found += [f"{len(document['nodes']):,} nodes"] * (len(document.get("nodes", [])) > 1)
-    found += ["copyright"] * ("copyright" in document.get("asset", {}))
-    found += ["extras"] * ('"extras": ' in json.dumps(document))
-    return found
+        lost.append("vertex alpha")
+    lost += ["lines and points"] * any(p.get("mode", gltf.TRIANGLES) < gltf.TRIANGLES for p in primitives)
+    lost += ["morph targets"] * any("targets" in p for p in primitives)
+    lost += [key for key in ("animations", "skins", "cameras") if document.get(key)]
+    lost += _few(e for e in document.get("extensionsUsed", []) if e not in APPLIED)
+    lost += [f"{len(document['nodes']):,} nodes"] * (len(document.get("nodes", [])) > 1)
+    lost += ["copyright"] * ("copyright" in document.get("asset", {}))
+    lost += ["extras"] * ('"extras": ' in json.dumps(document))
+    return lost
 
 
 def _material_words(materials: list[dict]) -> list[str]:
     """What materials say besides their base colour's image or flat colour."""
-    found = []
+    lost = []
     for material in materials:
         pbr = material.get("pbrMetallicRoughness", {})
         r, g, b, alpha = pbr.get("baseColorFactor", [1, 1, 1, 1])
-        if alpha != 1 or (gltf.base_slot(material) and (r, g, b) != (1, 1, 1)):
-            found.append("baseColorFactor")
+        if alpha != 1 or (gltf.texture_reference(material) and (r, g, b) != (1, 1, 1)):
+            lost.append("baseColorFactor")
         if material.get("alphaMode", "OPAQUE") != "OPAQUE":
-            found.append("alphaMode")
-        found += [key for key, usual in USUAL.items() if pbr.get(key, usual) != usual]
-        found += ["emissiveFactor"] * (material.get("emissiveFactor", [0, 0, 0]) != [0, 0, 0])
-    return found
+            lost.append("alphaMode")
+        lost += [key for key, usual in USUAL.items() if pbr.get(key, usual) != usual]
+        lost += ["emissiveFactor"] * (material.get("emissiveFactor", [0, 0, 0]) != [0, 0, 0])
+    return lost

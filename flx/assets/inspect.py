@@ -3,11 +3,12 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int
+from jaxtyping import Bool, Int
 
 from flx.assets.asset import Asset
 from flx.geometry.atlas import uv_areas
 from flx.geometry.raster import barycentric_planes, pixels_inside
+from flx.geometry.sampling import face_areas
 from flx.geometry.topology import edges_of, pieces
 
 RASTER = 1024  # pixels on the longer side on which texels are counted
@@ -62,7 +63,7 @@ def _components(faces: Int[Any, "F 3"], count: int) -> tuple[Int[Any, "V"], Bool
 
 def ring_pixels(asset: Asset, painted: Bool[Any, "F"], vertices: int) -> tuple[float, float, float] | None:
     """Pixels of the texture in a one-ring of a copy, which has 3/V of the surface."""
-    areas = _face_areas(asset)
+    areas = face_areas(asset.mesh.vertices, asset.mesh.faces)
     sizes = np.array([image.shape[0] * image.shape[1] for image in asset.mesh.textures] or [0])
     pixels = np.abs(uv_areas(asset.mesh)) * sizes[asset.mesh.face_textures]
     chosen = painted & (areas > 0)
@@ -74,8 +75,3 @@ def ring_pixels(asset: Asset, painted: Bool[Any, "F"], vertices: int) -> tuple[f
     marks = np.searchsorted(share, np.array([0.05, 0.5, 0.95]) * share[-1])
     low, median, high = ring[order][np.minimum(marks, len(order) - 1)].tolist()
     return low, median, high
-
-
-def _face_areas(asset: Asset) -> Float64[Any, "F"]:
-    a, b, c = np.moveaxis(asset.mesh.vertices[asset.mesh.faces], 1, 0)
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2

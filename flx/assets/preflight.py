@@ -27,14 +27,14 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
         )
     for path in paths:
         check_room(asset, path, beside)
-    told = []
+    notes = []
     if left := left_behind(asset, format):
-        kept = {ObjSource: "; --format obj keeps all", Gltf: "; --format glb keeps all"}
-        told.append(f"{left} stay behind{kept.get(type(asset.container), '')}")
+        keeping = {ObjSource: "; --format obj keeps all", Gltf: "; --format glb keeps all"}
+        notes.append(f"{left} stay behind{keeping.get(type(asset.container), '')}")
     if missing := dangling(asset, format):
-        told.append(f"not there, but named in what is written: {missing}")
-    if told:
-        print(f"{asset.path}: {'; '.join(told)}", file=sys.stderr)
+        notes.append(f"not there, but named in what is written: {missing}")
+    if notes:
+        print(f"{asset.path}: {'; '.join(notes)}", file=sys.stderr)
 
 
 def _check_folder(folder: Path) -> None:

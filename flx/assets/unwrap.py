@@ -12,6 +12,7 @@ from flx.assets.formats.obj_source import ObjSource
 from flx.assets.formats.parts import Part
 from flx.geometry.atlas import atlas_texels, paint
 from flx.geometry.sampling import surface_colors
+from flx.types import Layer, TexturedMesh
 
 INSTALL = "pip install '.[uv]' in the clone"
 PADDING = 4  # texels between charts on a texture of about 1024²: seams stay closed down to a quarter of it
@@ -45,16 +46,20 @@ def unwrapped(asset: Asset) -> Asset:
         raise ValueError(f"{asset.path} cannot be unwrapped: xatlas left faces out; unwrap it elsewhere")
     faces, uvs = faces.astype(np.int64), uvs.astype(np.float64)
 
-    painted = mesh._replace(corner_uvs=uvs[faces], face_textures=np.zeros(len(faces), np.int64))
-    atlas = atlas_texels(painted, 0, charts.height, charts.width)
+    layer = Layer((), np.zeros(len(faces), np.int64), uvs[faces])
+    charted = TexturedMesh(
+        mesh.vertices, mesh.faces, {"base_color": layer}, np.zeros_like(mesh.corner_colors)
+    )
+    atlas = atlas_texels(charted, 0, charts.height, charts.width)
     image = paint(atlas, surface_colors(mesh, atlas.points))
     parts, corners = _split(asset, faces, uvs)
     return asset._replace(
-        mesh=painted._replace(textures=(image,), corner_colors=np.zeros_like(mesh.corner_colors)),
+        mesh=charted.with_layer(images=(image,)),
         report=asset.report._replace(vertices_read=sum(len(part.positions) for part in parts)),
         parts=parts,
-        paints=tuple(paint._replace(texture=0) for paint in asset.paints),
-        textures=(Texture("base color", None, flat=False),),
+        paints=tuple(paint._replace(textures={"base_color": 0}) for paint in asset.paints),
+        sources={"base_color": (Texture("base color", None, flat=False),)},
+        map_names={},
         corner_vertices=corners,
         container=None,
     )

@@ -1,9 +1,10 @@
-"""An asset with new colours as GLB, as OBJ (with MTL and PNG) or as PLY.
+"""An asset with new maps as GLB, as OBJ (with MTL and PNG) or as PLY.
 
-What came as OBJ goes out as the same OBJ (`formats.obj_source`). All else is written anew from the triangles
-and coordinates of its parts: names of parts and materials are kept, node transforms are applied, numbers are
-exact. What the formats cannot say stays behind (`flx.assets.conversion`). Every file is whole or not there,
-and the OBJ comes last: it never names what is not there yet.
+What came as GLB or OBJ goes out as the same file (`formats.glb`, `formats.obj_source`), but for its maps. All
+else is written anew from the triangles and coordinates of its parts: names of parts and materials are kept,
+node transforms are applied, numbers are exact. What the formats cannot say stays behind
+(`flx.assets.conversion`). Every file is whole or not there, and the OBJ comes last: it never names what is
+not there yet.
 """
 
 import re
@@ -15,25 +16,61 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, Num, UInt8
 from PIL import Image
 
-from flx.assets.asset import Asset, Baked
+from flx.assets.asset import Asset, Images, Painting
 from flx.assets.formats import glb, obj_source
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.images import encode_png
 from flx.assets.formats.obj_source import ObjSource, only_object
 from flx.files import write_atomically
 from flx.geometry.color import quantized
+from flx.types import Slot
 
 BLOCK = 1 << 14  # rows written at a time
 
 
-def write_obj(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | Path) -> None:
-    """OBJ, MTL and a PNG for each texture that is not flat, all named after `path`; alpha is kept in the PNG.
+def write(asset: Asset, painting: Painting, path: str | Path) -> None:
+    """The asset with new maps in the suffix's format, each file whole or not at all.
 
-    Raises ValueError where the number of images is wrong.
+    GLB: images that are not given stay as they are, in an asset that was GLB byte for byte. OBJ: beside it an
+    MTL, and a PNG for each texture that is not flat, named after `path`. PLY: colours of vertices alone, in 8
+    bits. Alpha is kept. Raises ValueError where the format cannot hold the painting, where that has not an
+    image for each of the asset's, and where an OBJ would overwrite a file of the asset.
     """
     path = Path(path)
-    if len(images) != len(asset.textures):
-        raise ValueError(f"{len(images)} images for the {len(asset.textures)} textures of {asset.path}")
+    _check_painting(asset, painting, path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".ply":
+        _write_ply(asset, painting.colors, path)
+    elif path.suffix != ".obj":
+        write_atomically(path, glb.glb_bytes(_painted_gltf(asset, painting)))
+    elif asset.textures:
+        _write_obj(asset, painting.images, path)
+    else:
+        _write_obj_colors(asset, painting.colors, path)
+
+
+def _check_painting(asset: Asset, painting: Painting, path: Path) -> None:
+    for slot, images in painting.maps.items():
+        if slot not in asset.sources:
+            raise ValueError(f"{asset.path} was read without its {slot} map; read it with slots=[{slot!r}]")
+        if len(images) != (count := len(asset.sources[slot])):
+            where = f"the {count} {slot} images of {asset.path}"
+            raise ValueError(f"{len(images)} images for {where}; give one for each")
+    others = ", ".join(slot for slot in painting.maps if slot != "base_color")
+    if others and path.suffix in (".obj", ".ply"):
+        format = path.suffix[1:].upper()
+        raise ValueError(f"{path.name}: flx cannot write {others} maps into an {format}; write a GLB")
+    if path.suffix == ".ply" and asset.textures:
+        raise ValueError(f"{asset.path} has textures, a PLY has colours of vertices; write a GLB or OBJ")
+    if asset.textures:
+        if not painting.maps or (path.suffix == ".obj" and not painting.images):
+            raise ValueError(f"no base colour image for {asset.path}; give one for each of its textures")
+    elif len(painting.colors) != asset.report.vertices_read:
+        wanted = f"{asset.report.vertices_read} vertices of {asset.path}"
+        raise ValueError(f"{len(painting.colors)} colours for the {wanted}; give one for each")
+
+
+def _write_obj(asset: Asset, images: Images, path: Path) -> None:
     check_room(asset, path)
     files = image_files(asset, path)
     for index, file in files.items():
@@ -52,14 +89,14 @@ def write_obj(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | P
     write_atomically(path, "\n".join(_obj_lines(asset, path.with_suffix(".mtl").name)).encode())
 
 
-def write_obj_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
+def _write_obj_colors(asset: Asset, colors: Float32[Any, "V 3"], path: Path) -> None:
     """An OBJ with an sRGB colour after each position, as most readers take it."""
-    check_room(asset, Path(path))
+    check_room(asset, path)
     if isinstance(asset.container, ObjSource):
         used = np.unique(asset.corner_vertices)  # repair dropped the faces of others: they have no colour
-        obj_source.write_colored(asset.container, asset.container.rows[used], colors[used], Path(path))
+        obj_source.write_colored(asset.container, asset.container.rows[used], colors[used], path)
     else:
-        write_atomically(Path(path), "\n".join(_obj_lines(asset, None, colors)).encode())
+        write_atomically(path, "\n".join(_obj_lines(asset, None, colors)).encode())
 
 
 def image_files(asset: Asset, path: Path) -> dict[int, str]:
@@ -120,16 +157,15 @@ def check_room(asset: Asset, path: Path, beside: Sequence[Path] = ()) -> None:
             raise ValueError(f"{file} would overwrite a file of {asset.path}; name another --out")
 
 
-def write_ply_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
-    """One binary PLY with an 8-bit sRGB colour for each original vertex; positions in float64 where float32
-    would round them."""
+def _write_ply(asset: Asset, colors: Float32[Any, "V 3"], path: Path) -> None:
+    """One binary PLY; positions in float64 where float32 would round them."""
     points = np.concatenate([part.positions for part in asset.parts])
     kind = "<f4" if (points.astype(np.float32) == points).all() else "<f8"
     named = {"float": "<f4", "double": "<f8", "uchar": "u1"}
     columns = [(axis, kind, points[:, k]) for k, axis in enumerate("xyz")]
-    kept = [part.normals for part in asset.parts if part.normals is not None]
-    if len(kept) == len(asset.parts):
-        normals = np.concatenate(kept)
+    known = [part.normals for part in asset.parts if part.normals is not None]
+    if len(known) == len(asset.parts):
+        normals = np.concatenate(known)
         columns += [(f"n{axis}", "<f4", normals[:, k]) for k, axis in enumerate("xyz")]
     columns += [(name, "u1", quantized(colors)[:, k]) for k, name in enumerate(("red", "green", "blue"))]
     vertices = np.empty(len(points), [(name, dtype) for name, dtype, _ in columns])
@@ -142,7 +178,7 @@ def write_ply_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path
     header = ["ply", "format binary_little_endian 1.0", "comment flx", f"element vertex {len(points)}"]
     header += [f"property {words[dtype]} {name}" for name, dtype, _ in columns]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    write_atomically(Path(path), "\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
+    write_atomically(path, "\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
 
 
 def _obj_lines(asset: Asset, library: str | None, colors: Float32[Any, "V 3"] | None = None) -> Iterator[str]:
@@ -207,72 +243,42 @@ def _word(name: str) -> str:
     return re.sub(r"\s+", "_", name.strip()) or "unnamed"
 
 
-def write_glb(asset: Asset, images: Sequence[UInt8[Any, "_ _ 3"]], path: str | Path) -> None:
-    """The asset as one GLB, with `images` in the place of `mesh.textures` (of any size; alpha is resized).
-
-    Images of materials that had only a flat colour are not written. Raises ValueError where the number of
-    images is wrong, or the asset has vertex colours.
-    """
-    if not asset.textures or len(images) != len(asset.textures):
-        raise ValueError(
-            f"{asset.path} has {len(asset.textures)} textures, {len(images)} images given; "
-            "give one for each, or vertex colours to write_glb_colors"
-        )
-    pngs = {i: encode_png(images[i], t.alpha) for i, t in enumerate(asset.textures) if not t.flat}
-    if isinstance(asset.container, Gltf):
-        shown = {i: paint.texture for i, paint in enumerate(asset.paints) if paint.texture in pngs}
-        file = glb.replace_base_color(asset.container, shown, pngs)
-    else:
-        file = glb.build_gltf(_name(asset), asset.parts, asset.paints, pngs)
-    write_atomically(Path(path), glb.glb_bytes(file))
-
-
-def write_glb_colors(asset: Asset, colors: Float32[Any, "V 3"], path: str | Path) -> None:
-    """The asset as one GLB, with an sRGB colour for each original vertex (see `Asset.corner_vertices`).
-
-    Raises ValueError where their number is not `report.vertices_read`.
-    """
-    if len(colors) != asset.report.vertices_read:
-        raise ValueError(
-            f"{len(colors)} colours for {asset.report.vertices_read} vertices; give one for each"
-        )
+def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
+    """The asset's own glTF with other images or vertex colours, or a new one. Images that stood for a
+    material's flat value are not written."""
     ends = np.cumsum([len(part.positions) for part in asset.parts])
-    each = np.split(colors, ends[:-1])
-    if isinstance(asset.container, Gltf):
+    colors = None if asset.textures else np.split(painting.colors, ends[:-1])
+    own: dict[Slot, Images] = {slot: layer.images for slot, layer in asset.mesh.maps.items()}
+    kept = {} if isinstance(asset.container, Gltf) else own
+    maps: dict[Slot, Images] = {**kept, **painting.maps}
+    pngs: dict[Slot, dict[int, bytes]] = {}
+    for slot, images in maps.items():
+        textures = enumerate(asset.sources[slot])
+        pngs[slot] = {i: encode_png(images[i], t.alpha) for i, t in textures if not t.flat}
+    file = asset.container
+    if not isinstance(file, Gltf):
+        return glb.build_gltf(_name(asset), asset.parts, asset.paints, pngs, colors)
+    if colors is not None:
         origins = [part.origin for part in asset.parts]
-        file = glb.replace_colors(asset.container, dict(zip(origins, each, strict=True)))
-    else:
-        file = glb.build_gltf(_name(asset), asset.parts, asset.paints, {}, each)
-    write_atomically(Path(path), glb.glb_bytes(file))
+        file = glb.replace_colors(file, dict(zip(origins, colors, strict=True)))
+    for slot, images in pngs.items():
+        shown = {m: paint.textures[slot] for m, paint in enumerate(asset.paints) if slot in paint.textures}
+        shown = {material: index for material, index in shown.items() if index in images}
+        file = glb.replace_images(file, slot, shown, images)
+    return file
 
 
 def _name(asset: Asset) -> str:
     """What the one object of an OBJ is called; else the file."""
-    found = only_object(asset.container) if isinstance(asset.container, ObjSource) else ""
-    return found or asset.path.stem
+    name = only_object(asset.container) if isinstance(asset.container, ObjSource) else ""
+    return name or asset.path.stem
 
 
-def write_baked(asset: Asset, baked: Baked, path: Path) -> None:
-    """The asset's own geometry, coordinates and materials in the suffix's format, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".obj":
-        if baked.images:
-            write_obj(asset, baked.images, path)
-        else:
-            write_obj_colors(asset, baked.colors, path)
-    elif path.suffix == ".ply":
-        write_ply_colors(asset, baked.colors, path)
-    elif baked.images:
-        write_glb(asset, baked.images, path)
-    else:
-        write_glb_colors(asset, baked.colors, path)
-
-
-def write_atlases(asset: Asset, baked: Baked, path: Path) -> None:
-    """The new images as PNGs beside the mesh at `path`, named after it; an OBJ has its own already."""
-    for index, image in enumerate(baked.images if path.suffix != ".obj" else ()):
+def write_atlases(asset: Asset, painting: Painting, path: Path) -> None:
+    """The new base colours as PNGs beside the mesh at `path`, named after it; an OBJ has its own already."""
+    for index, image in enumerate(painting.images if path.suffix != ".obj" else ()):
         if not asset.textures[index].flat:
-            suffix = f"_{index}" if len(baked.images) > 1 else ""
+            suffix = f"_{index}" if len(painting.images) > 1 else ""
             write_png(path.with_name(f"{path.stem}{suffix}.png"), image)
 
 

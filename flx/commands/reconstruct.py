@@ -40,7 +40,7 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
     from flx.assets.preflight import check_output
     from flx.assets.read import read_asset
     from flx.assets.unwrap import prepared_for
-    from flx.assets.write import write_atlases, write_baked, write_png
+    from flx.assets.write import write, write_atlases, write_png
     from flx.evaluation.fidelity import fidelity
     from flx.evaluation.lpips import HINT, installed_judges
     from flx.evaluation.timings import peak_bytes
@@ -77,7 +77,7 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
         "seconds": round(seconds, 2),
         "peak_bytes": peak_bytes(),
     }
-    write_baked(asset, baked, file)
+    write(asset, baked, file)
     write_atlases(asset, baked, file)
     write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], options.up, 512))
     write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())

@@ -39,7 +39,7 @@ def sample(options: Sample) -> Path:
     """
     from flx.assets.preflight import check_output
     from flx.assets.unwrap import prepared_for
-    from flx.assets.write import write_atlases, write_baked, write_png
+    from flx.assets.write import write, write_atlases, write_png
     from flx.files import write_atomically
     from flx.geometry.seams import seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
@@ -60,7 +60,7 @@ def sample(options: Sample) -> Path:
     bar = tqdm(generate(generator, *rules), "variations", options.count, unit="texture", dynamic_ncols=True)
     variations, ratios = [], []
     for file, baked in zip(files, bar, strict=True):
-        write_baked(asset, baked, file)
+        write(asset, baked, file)
         write_atlases(asset, baked, file)
         ratios.append(seam_ratio(shown(asset, baked)))
         variations = [*variations, baked][:8]  # what the contact sheet shows

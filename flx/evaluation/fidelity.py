@@ -7,17 +7,17 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from skimage.metrics import structural_similarity
 
-from flx.assets.asset import Asset, Baked
+from flx.assets.asset import Asset, Painting, own_painting
 from flx.evaluation.lpips import Judge
 from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
-from flx.pipeline.canvas import bake_back, resized
+from flx.geometry.color import resized
 
 WINDOW = 11  # pixels a side of the Gaussian windows of DSSIM; smaller pictures are continued to that
 
 
 def fidelity(
     asset: Asset,
-    painting: Baked,
+    painting: Painting,
     judges: Sequence[Judge] = (),
     atlases: Sequence[Atlas | None] | None = None,
 ) -> dict[str, float]:
@@ -28,7 +28,7 @@ def fidelity(
     """
     if not painting.images:
         used = np.unique(asset.corner_vertices)
-        own = bake_back(asset).colors
+        own = own_painting(asset).colors
         return {"psnr": psnr(float(np.mean((own[used] - painting.colors[used]) ** 2)))}
     atlases = atlases or [
         None if texture.flat else atlas_texels(asset.mesh, index, *image.shape[:2])

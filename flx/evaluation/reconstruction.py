@@ -12,12 +12,11 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from itertools import product
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, get_args
 
-from PIL import Image
 from tqdm import tqdm
 
+from flx.assets.arrays import sheet_asset
 from flx.assets.asset import Asset
 from flx.assets.read import read_asset
 from flx.assets.write import write_png
@@ -128,22 +127,7 @@ def _read_asset(mesh: str) -> Asset:
     path, _, texture = ("", "", "") if Path(mesh).exists() else mesh.rpartition(":")
     if path:
         return read_asset(Path(path), Path(texture))
-    return read_sheet(Path(mesh)) if Path(mesh).suffix.lower() in SUFFIXES else read_asset(Path(mesh))
-
-
-def read_sheet(image: Path) -> Asset:
-    """A rectangle of the image's proportions that shows the whole of it.
-
-    Raises ValueError or OSError where the image cannot be read.
-    """
-    with Image.open(image) as opened:
-        width, height = opened.size
-    corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
-    lines = [f"v {x * width / height} {y} 0\nvt {x} {y}\n" for x, y in corners]
-    with TemporaryDirectory() as folder:
-        sheet = Path(folder) / f"{image.stem}.obj"
-        sheet.write_text("".join(lines) + "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")
-        return read_asset(sheet, image)
+    return sheet_asset(Path(mesh)) if Path(mesh).suffix.lower() in SUFFIXES else read_asset(Path(mesh))
 
 
 class _Makers(dict[str, Method]):

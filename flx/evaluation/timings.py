@@ -4,7 +4,6 @@ import os
 import platform
 import statistics
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,8 +16,8 @@ import optax
 from scipy.spatial import ConvexHull
 
 from flx.assets.read import read_asset
-from flx.assets.vase import write_vase
-from flx.config import FLDM, FLVAE
+from flx.assets.vase import vase_asset
+from flx.config import FLDM, FLVAE, Blocks
 from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.fields.convolution import Filter
 from flx.geometry.atlas import atlas_texels
@@ -26,7 +25,6 @@ from flx.geometry.remesh.remesh import remesh
 from flx.geometry.render import render
 from flx.geometry.tables import mesh_tables
 from flx.models.codec.vae import FieldLatentVAE
-from flx.models.denoiser.depth import Blocks
 from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.codec import initial_params, load_codec
 from flx.types import MeshTables, Queries, RingSamples, TexturedMesh, Triangulation
@@ -131,12 +129,7 @@ def _median_seconds(call: Callable[[], Any], repeats: int) -> float:
 
 def mesh_rows(path: Path | None, texture: Path | None = None) -> list[dict[str, Any]]:
     """The stages of the geometry on a mesh file, or on the vase."""
-    if path is not None:
-        return geometry_rows(read_asset(path, texture).mesh)
-    with tempfile.TemporaryDirectory() as folder:
-        vase = Path(folder) / "vase.glb"
-        write_vase(vase)
-        return geometry_rows(read_asset(vase).mesh)
+    return geometry_rows((vase_asset() if path is None else read_asset(path, texture)).mesh)
 
 
 def machine() -> dict[str, Any]:

@@ -1,27 +1,25 @@
-"""Between a surface and its textures: colours at points, texels to points, points of one-rings.
+"""Which point of a surface each texel shows, and images painted at those texels.
 
 Texture coordinates run right and down and repeat; texel (row, column) has its centre at
-u = (column + ½)/W, v = (row + ½)/H, so u·W − ½ is a column. Colours are sRGB in [0, 1] as float32, textures
-uint8. A point on a surface is a face and three barycentrics (`SurfacePoints`); a zero-area face has no texels
-and the zero normal. Large work goes in chunks: memory is bounded by the result, not by the mesh.
+u = (column + ½)/W, v = (row + ½)/H, so u·W − ½ is a column. Colours are float32 in [0, 1], images have 8 or
+16 bits. A point on a surface is a face and three barycentrics (`SurfacePoints`); a zero-area face has no
+texels. Large work goes in chunks: memory is bounded by the result, not by the mesh.
 """
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt
+from numpy.typing import DTypeLike
 from scipy.ndimage import distance_transform_edt
 
 from flx.geometry.color import quantized
 from flx.geometry.raster import CHUNK, Pixels, Planes, barycentric_planes, expand, pixels_inside
-from flx.types import SurfacePoints, TexturedMesh
+from flx.types import Slot, SurfacePoints, TexturedMesh
 
 MOST_REPEATS = 16  # of a texture over one face: beyond, texels by the billion would show the same
 WRAP = 8  # texels by which a gutter looks across the border of a repeating texture
-
-
-# --- colours at points
 
 
 # --- texels and points
@@ -118,16 +116,19 @@ def _nearest_on_edges(corners: Float64[Any, "N 3 2"], places: Float64[Any, "N 2"
     return barycentrics
 
 
-def atlas_texels(mesh: TexturedMesh, texture_index: int, height: int, width: int) -> Atlas:
+def atlas_texels(
+    mesh: TexturedMesh, texture_index: int, height: int, width: int, slot: Slot = "base_color"
+) -> Atlas:
     """Texels whose centres lie in the UV triangles of one texture; any size, whatever the texture's own.
 
     UVs outside [0, 1] wrap. A texel that several faces claim (a shared edge, a repeated tile) goes to the
     first of them. A face too small to hold any centre takes the texels that it touches, where they are free.
     Raises ValueError for a face that runs over more than `MOST_REPEATS` repeats.
     """
-    corners = mesh.corner_uvs * [width, height] - 0.5
-    chosen = np.flatnonzero(mesh.face_textures == texture_index)[::-1]  # the last write stays: the first face
-    repeats = np.ptp(mesh.corner_uvs[chosen], axis=1)
+    layer = mesh.maps[slot]
+    corners = layer.corner_uvs * [width, height] - 0.5
+    chosen = np.flatnonzero(layer.face_images == texture_index)[::-1]  # the last write stays: the first face
+    repeats = np.ptp(layer.corner_uvs[chosen], axis=1)
     if repeats.max(initial=0) > MOST_REPEATS:
         face = chosen[repeats.max(1).argmax()]
         raise ValueError(
@@ -162,8 +163,8 @@ def _outlines(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
 
 
 def fill_gutter(
-    image: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"], reach: float = np.inf
-) -> UInt8[Any, "H W 3"]:
+    image: UInt[Any, "H W 3"], covered: Bool[Any, "H W"], reach: float = np.inf
+) -> UInt[Any, "H W 3"]:
     """Every uncovered texel takes its nearest covered texel's colour, also across the repeating border.
 
     Farther than `reach` texels from a covered one it stays: other meshes may share the image. A bilinear
@@ -188,36 +189,42 @@ def fill_gutter(
 
 
 def with_filled_gutters(mesh: TexturedMesh) -> TexturedMesh:
-    """The mesh with what lies between the charts of its textures replaced by the nearest chart's colour."""
-    textures = [
-        fill_gutter(image, atlas_texels(mesh, index, *image.shape[:2]).covered)
-        for index, image in enumerate(mesh.textures)
-    ]
-    return mesh._replace(textures=tuple(textures))
+    """The mesh with what lies between the charts of its images, in any slot, taken from the nearest chart."""
+    for slot, layer in mesh.maps.items():
+        images = (
+            fill_gutter(image, atlas_texels(mesh, index, *image.shape[:2], slot=slot).covered)
+            for index, image in enumerate(layer.images)
+        )
+        mesh = mesh.with_layer(slot, images=tuple(images))
+    return mesh
 
 
 def paint(
-    atlas: Atlas, colors: Float32[Any, "P 3"], background: UInt8[Any, "H W 3"] | None = None
-) -> UInt8[Any, "H W 3"]:
-    """The texture with these colours at the atlas' texels and filled gutters; colours are clipped to [0, 1].
+    atlas: Atlas,
+    colors: Float32[Any, "P 3"],
+    background: UInt[Any, "H W 3"] | None = None,
+    dtype: DTypeLike = np.uint8,
+) -> UInt[Any, "H W 3"]:
+    """An image with these colours at the atlas' texels and filled gutters; colours are clipped to [0, 1].
 
-    `background` (default black), of the atlas' size, is what a texture that no face uses keeps.
+    `background` (default black), of the atlas' size, is what an image that no face uses keeps. The new image
+    has its depth, or without one that of `dtype`.
     """
-    image = np.zeros((atlas.height, atlas.width, 3), np.uint8) if background is None else background.copy()
+    image = np.zeros((atlas.height, atlas.width, 3), dtype) if background is None else background.copy()
     if image.shape[:2] != (atlas.height, atlas.width):
         raise ValueError(
             f"background has {image.shape[1]}x{image.shape[0]} texels but the atlas has "
             f"{atlas.width}x{atlas.height}; resize it, or leave it out"
         )
     covered = atlas.covered
-    image[covered] = quantized(colors)
+    image[covered] = quantized(colors, image.dtype)
     return fill_gutter(image, covered)
 
 
-# --- points of another surface, points of one-rings
+# --- areas
 
 
-def uv_areas(mesh: TexturedMesh) -> Float64[Any, "F"]:
+def uv_areas(mesh: TexturedMesh, slot: Slot = "base_color") -> Float64[Any, "F"]:
     """The area of each face on its texture, negative where the texture is seen from behind; v runs down."""
-    u, v = np.moveaxis(mesh.corner_uvs, -1, 0)
+    u, v = np.moveaxis(mesh.maps[slot].corner_uvs, -1, 0)
     return ((u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]) - (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0])) / 2

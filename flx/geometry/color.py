@@ -1,9 +1,11 @@
-"""Colours: linear light, sRGB, 8 bits."""
+"""Colours and images: linear light, sRGB, 8 or 16 bits, other sizes."""
 
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Num, UInt8
+from jaxtyping import Float32, Float64, Num, UInt, UInt8
+from numpy.typing import DTypeLike
+from PIL import Image
 
 
 def srgb(linear: Num[Any, "..."]) -> Float64[Any, "..."]:
@@ -18,6 +20,13 @@ def linear(color: Num[Any, "..."]) -> Float64[Any, "..."]:
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
-def quantized(colors: Float32[Any, "P 3"]) -> UInt8[Any, "P 3"]:
-    """Colours as a texture holds them: clipped to [0, 1], 8 bits."""
-    return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
+def quantized(colors: Float32[Any, "P 3"], dtype: DTypeLike = np.uint8) -> UInt[Any, "P 3"]:
+    """Colours as a texture of 8 or 16 bits holds them: clipped to [0, 1]."""
+    return np.rint(np.clip(colors, 0, 1) * np.iinfo(dtype).max).astype(dtype)
+
+
+def resized(image: UInt8[Any, "H W 3"], height: int, width: int) -> UInt8[Any, "_ _ 3"]:
+    """The image at another size, each pixel the mean of what it covers."""
+    if image.shape[:2] == (height, width):
+        return image
+    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))

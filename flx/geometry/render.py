@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from flx.geometry.arrays import area_normals, sum_at
+from flx.geometry.color import linear, srgb
 from flx.geometry.raster import Planes, barycentric_planes, pixels_inside
 from flx.geometry.sampling import face_normals, surface_colors
 from flx.types import SurfacePoints, TexturedMesh
@@ -59,7 +61,7 @@ def render(
             raise ValueError(
                 f"{len(textures)} textures for a mesh that has {len(mesh.textures)}; give one image for each"
             )
-        mesh = mesh._replace(textures=tuple(textures))
+        mesh = mesh.with_layer(images=tuple(textures))
     return show(look(mesh, azimuth, elevation, size, up, supersample), mesh)
 
 
@@ -127,9 +129,9 @@ def _visible(
     nearest = np.full(rays * rays, -1, np.int64)
     barycentrics = barycentric_planes(screen[faces])
     near = Planes(*((plane * scaled[faces].T).sum(0, keepdims=True) for plane in barycentrics))
-    for found in pixels_inside(screen[faces]):
-        steps = near(*found)[0].astype(np.int64)
-        np.maximum.at(nearest, found.rows * rays + found.columns, steps << 32 | found.triangles)
+    for inside in pixels_inside(screen[faces]):
+        steps = near(*inside)[0].astype(np.int64)
+        np.maximum.at(nearest, inside.rows * rays + inside.columns, steps << 32 | inside.triangles)
     pixels = np.flatnonzero(nearest >= 0)
     hits = nearest[pixels] & 0xFFFFFFFF
     rows, columns = np.divmod(pixels, rays)
@@ -139,12 +141,9 @@ def _visible(
 
 def _corner_normals(mesh: TexturedMesh) -> Float64[Any, "F 3 3"]:
     """Area-weighted vertex normals, but the face's own at corners that sit on a crease."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    areas = np.cross(b - a, c - a)
+    areas = area_normals(mesh.vertices, mesh.faces)
     flat = face_normals(mesh.vertices, mesh.faces)
-    corners = mesh.faces.ravel()
-    sums = [np.bincount(corners, np.repeat(areas[:, x], 3), len(mesh.vertices)) for x in range(3)]
-    smooth = np.stack(sums, 1)
+    smooth = sum_at(mesh.faces, areas, len(mesh.vertices))
     smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-300)
     smooth = smooth[mesh.faces]
     creased = np.einsum("fkx,fx->fk", smooth, flat) < CREASE
@@ -205,13 +204,5 @@ def _steps(colors: Float32[Any, "*N 3"]) -> Int[Any, "*N 3"]:
     return (np.clip(colors, 0, 1) * STEPS + 0.5).astype(np.int32)
 
 
-def _to_linear(srgb: Float64[Any, "N"]) -> Float64[Any, "N"]:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def _to_srgb(linear: Float64[Any, "N"]) -> Float64[Any, "N"]:
-    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
-
-
-LINEAR = _to_linear(np.arange(STEPS + 1) / STEPS).astype(np.float32)
-ENCODED = np.rint(_to_srgb(np.arange(STEPS + 1) / STEPS) * 255).astype(np.uint8)
+LINEAR = linear(np.arange(STEPS + 1) / STEPS).astype(np.float32)
+ENCODED = np.rint(srgb(np.arange(STEPS + 1) / STEPS) * 255).astype(np.uint8)

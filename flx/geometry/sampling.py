@@ -8,10 +8,11 @@ from typing import Any
 
 import igl
 import numpy as np
-from jaxtyping import Float32, Float64, Int, UInt8
+from jaxtyping import Float32, Float64, Int, UInt
 
+from flx.geometry.arrays import area_normals
 from flx.geometry.raster import CHUNK
-from flx.types import SurfacePoints, TexturedMesh, Triangulation
+from flx.types import Slot, SurfacePoints, TexturedMesh, Triangulation
 
 
 def positions(
@@ -23,13 +24,16 @@ def positions(
 
 def face_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F 3"]:
     """Unit normals, outward for counter-clockwise faces; zero where a face has no area."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = area_normals(vertices, faces)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / np.where(lengths > 0, lengths, 1.0)
 
 
-def texture_colors(image: UInt8[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Float32[Any, "P 3"]:
+def face_areas(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
+    return np.linalg.norm(area_normals(vertices, faces), axis=1) / 2
+
+
+def texture_colors(image: UInt[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Float32[Any, "P 3"]:
     """Bilinear colours of a repeating texture at any real (u, v); v runs down."""
     height, width = image.shape[:2]
     texels = image.reshape(-1, 3)
@@ -44,22 +48,28 @@ def texture_colors(image: UInt8[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Floa
         for row, vertical in zip(rows, (1 - low_share, low_share), strict=True):
             for column, horizontal in zip(columns, (1 - right_share, right_share), strict=True):
                 chunk += texels.take(row + column, axis=0) * (vertical * horizontal)[:, None]
-        colors[start : start + CHUNK] = chunk / np.float32(255)
+        colors[start : start + CHUNK] = chunk / np.float32(np.iinfo(image.dtype).max)
     return colors
 
 
-def surface_colors(mesh: TexturedMesh, points: SurfacePoints) -> Float32[Any, "P 3"]:
-    """The colours of points, from the hit face's own corners: a UV seam never mixes two charts."""
-    if not mesh.textures:
+def surface_colors(
+    mesh: TexturedMesh, points: SurfacePoints, slot: Slot = "base_color"
+) -> Float32[Any, "P 3"]:
+    """The colours of points, or what another slot's images say there, in [0, 1] as they are stored.
+
+    Read at the corners of each point's own face: a UV seam never mixes two charts.
+    """
+    layer = mesh.maps[slot]
+    if not layer.images:
         blend = np.einsum("pkc,pk->pc", mesh.corner_colors[points.faces], points.barycentrics)
         return blend.astype(np.float32)
-    uvs = np.einsum("pkx,pk->px", mesh.corner_uvs.take(points.faces, 0), points.barycentrics)
-    if len(mesh.textures) == 1:
-        return texture_colors(mesh.textures[0], uvs)
-    textures = mesh.face_textures[points.faces]
+    uvs = np.einsum("pkx,pk->px", layer.corner_uvs.take(points.faces, 0), points.barycentrics)
+    if len(layer.images) == 1:
+        return texture_colors(layer.images[0], uvs)
+    shown = layer.face_images[points.faces]
     colors = np.empty((len(uvs), 3), np.float32)
-    for index, image in enumerate(mesh.textures):
-        chosen = np.flatnonzero(textures == index)
+    for index, image in enumerate(layer.images):
+        chosen = np.flatnonzero(shown == index)
         colors[chosen] = texture_colors(image, uvs[chosen])
     return colors
 
@@ -137,9 +147,7 @@ def ring_points(
     fans = np.argsort(faces.ravel(), kind="stable")  # corners, grouped by their vertex
     ends = np.cumsum(np.bincount(faces.ravel(), minlength=len(vertices)))
     starts = np.concatenate([[0], ends[:-1]])
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    laid = np.concatenate([[0.0], np.cumsum(areas[fans // 3])])
+    laid = np.concatenate([[0.0], np.cumsum(face_areas(vertices, faces)[fans // 3])])
     shares = (np.arange(samples) + rng.random((len(vertices), samples))) / samples
     marks = laid[starts][:, None] + (laid[ends] - laid[starts])[:, None] * shares
     picked = np.searchsorted(laid, marks.ravel(), side="right").reshape(marks.shape) - 1

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
-from flx.geometry.sampling import surface_colors
-from flx.types import SurfacePoints, TexturedMesh
+from flx.geometry.sampling import face_areas, surface_colors
+from flx.types import Layer, Slot, SurfacePoints, TexturedMesh
 
 OFFSET = 1.0  # texels from the edge to either side; at half of it, what bilinear reading adds shows
 PLACES = (1 / 6, 1 / 2, 5 / 6)  # along each edge
@@ -25,23 +25,24 @@ class SeamJump(NamedTuple):
         return (self.seams + LEVEL) / (self.inside + LEVEL)
 
 
-def seam_jump(mesh: TexturedMesh) -> SeamJump | None:
+def seam_jump(mesh: TexturedMesh, slot: Slot = "base_color") -> SeamJump | None:
     """The jump across UV seams and across all other edges, weighted by length.
 
     Both are measured alike: at matching points a (mean) texel from the edge, each read from its own face
-    as a viewer reads it. None without textures, and where no seam, or no other edge, is.
+    as a viewer reads it. None without images, and where no seam, or no other edge, is.
     """
-    if not mesh.textures:
+    layer = mesh.maps[slot]
+    if not layer.images:
         return None
     edges = _inner_edges(mesh.faces)
-    seam = _is_seam(mesh, edges)
+    seam = _is_seam(layer, edges)
     if seam.all() or not seam.any():
         return None
-    offset = OFFSET * _texel_size(mesh)
+    offset = OFFSET * _texel_size(mesh, layer)
     jumps = np.zeros(len(edges))
     for place in PLACES:
         one, other = (
-            surface_colors(mesh, _beside(mesh, edges[:, side], where, offset))
+            surface_colors(mesh, _beside(mesh, edges[:, side], where, offset), slot)
             for side, where in ((0, place), (1, 1 - place))
         )
         jumps += np.abs(one - other).mean(1) / len(PLACES)
@@ -71,22 +72,21 @@ def _inner_edges(faces: Int[Any, "F 3"]) -> Int[Any, "E 2"]:
     return np.stack([forward[paired], order[place[paired]]], 1)
 
 
-def _is_seam(mesh: TexturedMesh, edges: Int[Any, "E 2"]) -> Bool[Any, "E"]:
+def _is_seam(layer: Layer, edges: Int[Any, "E 2"]) -> Bool[Any, "E"]:
     """Whether the two faces read the edge at different places; whole repeats are the same place."""
-    uvs = mesh.corner_uvs.reshape(-1, 2)
+    uvs = layer.corner_uvs.reshape(-1, 2)
     here, there = edges.T
     gaps = np.stack([uvs[here] - uvs[_after(there)], uvs[_after(here)] - uvs[there]], 1)
     torn = (np.abs(gaps - np.round(gaps)) > 1e-6).any((1, 2))
-    return torn | (mesh.face_textures[here // 3] != mesh.face_textures[there // 3])
+    return torn | (layer.face_images[here // 3] != layer.face_images[there // 3])
 
 
-def _texel_size(mesh: TexturedMesh) -> float:
+def _texel_size(mesh: TexturedMesh, layer: Layer) -> float:
     """The side of a mean texel on the surface, in the vertices' units."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    pixels = np.array([image.shape[1::-1] for image in mesh.textures])[mesh.face_textures]
-    sides = (mesh.corner_uvs[:, 1:] - mesh.corner_uvs[:, :1]) * pixels[:, None]
+    pixels = np.array([image.shape[1::-1] for image in layer.images])[layer.face_images]
+    sides = (layer.corner_uvs[:, 1:] - layer.corner_uvs[:, :1]) * pixels[:, None]
     texels = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).sum()
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    area = 2 * face_areas(mesh.vertices, mesh.faces).sum()
     return float(np.sqrt(area / max(texels, 1e-300)))
 
 

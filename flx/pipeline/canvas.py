@@ -5,12 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Int32, UInt8
-from PIL import Image
 
-from flx.assets.asset import Asset, Baked
+from flx.assets.asset import Asset, Painting, own_painting
 from flx.assets.formats.files import limit
 from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
-from flx.geometry.color import quantized
+from flx.geometry.color import quantized, resized
 from flx.geometry.copies import queries_at
 from flx.geometry.render import contact_sheet, look, show
 from flx.geometry.sampling import transfer
@@ -83,18 +82,18 @@ def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[in
     return height, width
 
 
-def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Baked:
+def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Painting:
     """Decode the latents at every texel, or at every vertex."""
     return painted(canvas, map(codec.decoder(z), chunks(canvas)))
 
 
-def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Baked:
+def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Painting:
     """Colours of the canvas' `chunks` as images with filled gutters, or as colours of vertices."""
     asset = canvas.asset
     if not canvas.atlases:
-        whole = _own_colors(asset)
+        whole = own_painting(asset).colors
         whole[_vertex_points(asset)[0]] = np.concatenate(list(colors))
-        return Baked((), whole)
+        return Painting({}, whole)
     images = []
     for atlas, image in zip(canvas.atlases, asset.mesh.textures, strict=True):
         if atlas is None:
@@ -104,7 +103,7 @@ def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Baked:
         for start in range(0, len(texels), CHUNK):
             new.reshape(-1, 3)[texels[start : start + CHUNK]] = quantized(next(colors))
         images.append(fill_gutter(new, atlas.covered, max(2.0, GUTTER * max(atlas.height, atlas.width))))
-    return Baked(tuple(images), np.zeros((0, 3), np.float32))
+    return Painting({"base_color": tuple(images)})
 
 
 def chunks(canvas: Canvas) -> Iterator[Queries]:
@@ -119,30 +118,19 @@ def chunks(canvas: Canvas) -> Iterator[Queries]:
             start = chunk.stop
 
 
-def bake_back(asset: Asset) -> Baked:
-    """The asset's own colours."""
-    return Baked(asset.mesh.textures, _own_colors(asset))
-
-
-def resized(image: UInt8[Any, "H W 3"], height: int, width: int) -> UInt8[Any, "_ _ 3"]:
-    """The image at another size, each pixel the mean of what it covers."""
-    if image.shape[:2] == (height, width):
-        return image
-    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))
-
-
-def shown(asset: Asset, baked: Baked) -> TexturedMesh:
-    """The asset's surface with the new colours, to be rendered."""
-    if baked.images:
-        return asset.mesh._replace(textures=baked.images)
-    return asset.mesh._replace(corner_colors=baked.colors[asset.corner_vertices])
+def shown(asset: Asset, painting: Painting) -> TexturedMesh:
+    """The asset's surface with its new maps, to be rendered."""
+    mesh = asset.mesh
+    for slot, images in painting.maps.items():
+        mesh = mesh.with_layer(slot, images=tuple(images))
+    return mesh if asset.textures else mesh._replace(corner_colors=painting.colors[asset.corner_vertices])
 
 
 def side_by_side(
-    asset: Asset, baked: Sequence[Baked], captions: Sequence[str], up: str, size: int = 384
+    asset: Asset, paintings: Sequence[Painting], captions: Sequence[str], up: str, size: int = 384
 ) -> UInt8[Any, "_ _ 3"]:
     """Renders of the input and of each new texture in columns, a view in each row."""
-    meshes = [asset.mesh, *(shown(asset, b) for b in baked)]
+    meshes = [asset.mesh, *(shown(asset, painting) for painting in paintings)]
     views = [look(asset.mesh, a, e, size, up) for a, e in VIEWS]  # pyright: ignore
     rows = [[show(view, mesh) for mesh in meshes] for view in views]
     return contact_sheet(rows, ["input", *captions])
@@ -152,9 +140,3 @@ def _vertex_points(asset: Asset) -> tuple[np.ndarray, SurfacePoints]:
     """The original vertices that faces use, and one corner of the surface where each is."""
     vertices, first = np.unique(asset.corner_vertices, return_index=True)
     return vertices, SurfacePoints(first // 3, np.eye(3)[first % 3])
-
-
-def _own_colors(asset: Asset) -> Float32[Any, "V 3"]:
-    colors = np.zeros((asset.report.vertices_read, 3), np.float32)
-    colors[asset.corner_vertices.ravel()] = asset.mesh.corner_colors.reshape(-1, 3)
-    return colors

@@ -23,7 +23,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from flx import __version__
-from flx.assets.asset import Asset, Baked
+from flx.assets.asset import Asset, Painting
 from flx.assets.formats.files import inside
 from flx.assets.read import read_asset
 from flx.config import FLDM, FLVAE, FLDMExperiment, from_json
@@ -123,7 +123,7 @@ def generate(
     sampler: SamplerName = "ddim",
     texture_size: int | None = None,
     asset: Asset | None = None,
-) -> Iterator[Baked]:
+) -> Iterator[Painting]:
     """New textures of the asset that the generator learnt from, one after another.
 
     Variation n depends on the seed and n alone. `asset`: the same asset, where it was given an atlas.

@@ -5,7 +5,6 @@ of its own. They are read as the originals were, and give the same bits. (Older 
 """
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from flx.assets.asset import Asset
 from flx.assets.formats import glb
@@ -13,7 +12,7 @@ from flx.assets.formats.files import inside, read_file
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.obj_source import ObjSource, write_copy
 from flx.assets.read import read_asset
-from flx.assets.vase import write_vase
+from flx.assets.vase import vase_asset
 from flx.config import Surface
 from flx.files import write_atomically
 from flx.pipeline.generator import Source
@@ -22,11 +21,7 @@ from flx.training.run import Run
 
 def read_source(surface: Surface) -> Asset:
     """The asset that the experiment names, or the embedded vase."""
-    if surface.path:
-        return read_asset(surface.path, surface.texture)
-    with TemporaryDirectory() as folder:
-        write_vase(Path(folder) / "vase.glb")
-        return read_asset(Path(folder) / "vase.glb")
+    return read_asset(surface.path, surface.texture) if surface.path else vase_asset()
 
 
 def keep(asset: Asset, run: Run, surface: Surface) -> Asset:

@@ -12,11 +12,11 @@ import tifffile
 from helpers.files import PLY
 from PIL import Image
 
-from flx.assets.asset import Asset
+from flx.assets.asset import Asset, Painting
 from flx.assets.formats.gltf import accessor, read_gltf
 from flx.assets.formats.images import decode_image
 from flx.assets.read import read_asset
-from flx.assets.write import write_glb, write_glb_colors
+from flx.assets.write import write
 from flx.commands.doctor import describe
 
 # A tetrahedron whose second half has another material; v/vt differ, so that texture seams split vertices.
@@ -74,7 +74,7 @@ def obj_corners(text: str) -> dict[str, list]:
 def test_obj_goes_out_with_its_own_arrays_and_materials(tmp_path):
     asset = read_asset(save_obj(tmp_path))
     new = [np.full((6, 6, 3), 99, np.uint8), np.zeros((4, 4, 3), np.uint8)]
-    write_glb(asset, new, tmp_path / "out.glb")
+    write(asset, Painting({"base_color": new}), tmp_path / "out.glb")
     expected, document = obj_corners(OBJ), read_gltf(tmp_path / "out.glb").document
     names = [m["name"] for m in document["materials"]]
     seen = set()
@@ -148,14 +148,14 @@ def test_vertex_colours_of_a_ply_come_back_from_a_glb(tmp_path):
     faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
     assert np.allclose(asset.mesh.corner_colors, file_colors[faces])
     colors = np.random.default_rng(0).uniform(size=(4, 3)).astype(np.float32)
-    write_glb_colors(asset, colors, tmp_path / "out.glb")
+    write(asset, Painting({}, colors), tmp_path / "out.glb")
     again = read_asset(tmp_path / "out.glb")
     assert np.allclose(again.mesh.corner_colors, colors[faces], atol=1e-6)
     assert np.array_equal(again.mesh.vertices[again.mesh.faces], asset.mesh.vertices[asset.mesh.faces])
-    with pytest.raises(ValueError, match="3 colours for 4 vertices"):
-        write_glb_colors(asset, colors[:3], tmp_path / "out.glb")
-    with pytest.raises(ValueError, match="write_glb_colors"):
-        write_glb(asset, [np.zeros((2, 2, 3), np.uint8)], tmp_path / "out.glb")
+    with pytest.raises(ValueError, match="3 colours for the 4 vertices"):
+        write(asset, Painting({}, colors[:3]), tmp_path / "out.glb")
+    with pytest.raises(ValueError, match="1 images for the 0 base_color images"):
+        write(asset, Painting({"base_color": [np.zeros((2, 2, 3), np.uint8)]}), tmp_path / "out.glb")
 
 
 def test_a_ply_with_a_texture_file(tmp_path):

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from flx.assets.vase import vase, write_vase
+from flx.assets.asset import own_painting
+from flx.assets.vase import vase, vase_asset
+from flx.assets.write import write
 from flx.geometry.atlas import atlas_texels
 from flx.geometry.sampling import face_normals, texture_colors
 from flx.types import TexturedMesh
@@ -102,7 +104,7 @@ def test_it_is_the_same_each_time_and_made_in_seconds(mesh):
 
 
 def test_the_file_holds_the_same_vase(mesh, tmp_path):
-    write_vase(tmp_path / "vase.glb")
+    write(asset := vase_asset(), own_painting(asset), tmp_path / "vase.glb")
     scene = trimesh.load_scene(tmp_path / "vase.glb")
     (body,) = scene.geometry.values()
     assert list(scene.geometry) == ["vase"] and body.visual.material.name == "glaze"

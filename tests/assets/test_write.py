@@ -9,18 +9,12 @@ import trimesh
 from helpers.surfaces import icosphere
 from PIL import Image
 
+from flx.assets.asset import Painting
 from flx.assets.formats.gltf import read_gltf
 from flx.assets.preflight import check_output
 from flx.assets.read import read_asset
 from flx.assets.unwrap import is_unwrappable, prepared_for, unwrapped
-from flx.assets.write import (
-    write_glb,
-    write_glb_colors,
-    write_obj,
-    write_obj_colors,
-    write_ply_colors,
-    write_png,
-)
+from flx.assets.write import write, write_png
 from flx.geometry.atlas import atlas_texels
 from flx.geometry.sampling import surface_colors
 from flx.geometry.seams import seam_ratio
@@ -68,9 +62,9 @@ def colored(folder: Path) -> Path:
 def test_the_text_of_an_obj_is_the_same_wherever_its_rows_are_cut(tmp_path, monkeypatch, block):
     asset = read_asset(colored(tmp_path))
     colors = np.zeros((asset.report.vertices_read, 3), np.float32)
-    write_obj_colors(asset, colors, tmp_path / "whole.obj")
+    write(asset, Painting({}, colors), tmp_path / "whole.obj")
     monkeypatch.setattr("flx.assets.write.BLOCK", block)
-    write_obj_colors(asset, colors, tmp_path / "cut.obj")
+    write(asset, Painting({}, colors), tmp_path / "cut.obj")
     text = (tmp_path / "whole.obj").read_text()
     assert text == (tmp_path / "cut.obj").read_text()
     assert text.count("\nv ") == text.count("\nvn ") == 162 and text.count("\nf ") == 320
@@ -81,7 +75,7 @@ def test_an_obj_is_read_back_with_the_same_corners_names_and_images(tmp_path):
     rng = np.random.default_rng(0)
     new = [rng.integers(0, 256, (16, 8, 3), np.uint8) for _ in asset.textures]
     (tmp_path / "out").mkdir()
-    write_obj(asset, new, tmp_path / "out" / "new.obj")
+    write(asset, Painting({"base_color": new}), tmp_path / "out" / "new.obj")
     names = {"new.obj", "new.mtl", "new_0.png", "new_1.png"}  # none for the flat colour
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     again = read_asset(tmp_path / "out" / "new.obj")
@@ -99,7 +93,7 @@ def test_an_obj_is_read_back_with_the_same_corners_names_and_images(tmp_path):
 
     order = [[t.name for t in asset.textures].index(n) for n in ("a.png", "b.png", "plain")]
     new[order[2]] = asset.mesh.textures[order[2]]  # a flat material keeps its colour
-    expected = corners(asset._replace(mesh=asset.mesh._replace(textures=tuple(new))))
+    expected = corners(asset._replace(mesh=asset.mesh.with_layer(images=tuple(new))))
     found = corners(again)
     by_place = [np.lexsort(np.round(rows, 9).T) for rows in (found, expected)]
     np.testing.assert_allclose(found[by_place[0]], expected[by_place[1]], atol=1e-12)
@@ -109,14 +103,18 @@ def test_an_obj_is_read_back_with_the_same_corners_names_and_images(tmp_path):
 
 
 def test_a_glb_goes_out_as_an_obj_where_its_nodes_put_it(tmp_path):
-    write_glb(asset := read_asset(textured(tmp_path)), asset.mesh.textures, tmp_path / "a.glb")
+    write(
+        asset := read_asset(textured(tmp_path)),
+        Painting({"base_color": asset.mesh.textures}),
+        tmp_path / "a.glb",
+    )
     moved = read_gltf(tmp_path / "a.glb")
     moved.document["nodes"][0]["translation"] = [1, 2, 3]
     from flx.assets.formats.glb import glb_bytes
 
     (tmp_path / "b.glb").write_bytes(glb_bytes(moved))
     source = read_asset(tmp_path / "b.glb")
-    write_obj(source, source.mesh.textures, tmp_path / "out.obj")
+    write(source, Painting({"base_color": source.mesh.textures}), tmp_path / "out.obj")
     there = read_asset(tmp_path / "out.obj").mesh
     assert there.vertices.min(0).tolist() == [1, 2, 3] and len(there.faces) == 4
 
@@ -129,13 +127,17 @@ def test_an_obj_made_of_a_glb_has_its_normals_and_names_each_thing_once(tmp_path
         for line in text.splitlines(keepends=True)
     )
     textured(tmp_path).write_text(text)
-    write_glb(asset := read_asset(tmp_path / "mesh.obj"), asset.mesh.textures, tmp_path / "a.glb")
+    write(
+        asset := read_asset(tmp_path / "mesh.obj"),
+        Painting({"base_color": asset.mesh.textures}),
+        tmp_path / "a.glb",
+    )
     source = read_asset(tmp_path / "a.glb")
     source = source._replace(
         parts=tuple(p._replace(name=n) for p, n in zip(source.parts, "aab", strict=True))
     )
     (tmp_path / "out").mkdir()
-    write_obj(source, source.mesh.textures, tmp_path / "out" / "new.obj")
+    write(source, Painting({"base_color": source.mesh.textures}), tmp_path / "out" / "new.obj")
     lines = (tmp_path / "out" / "new.obj").read_text().splitlines()
     assert [line for line in lines if line[:2] == "o "] == ["o a", "o a_1", "o b"]
     library = (tmp_path / "out" / "new.mtl").read_text()
@@ -148,8 +150,7 @@ def test_an_obj_made_of_a_glb_has_its_normals_and_names_each_thing_once(tmp_path
 def test_vertex_colours_are_read_back_by_trimesh(tmp_path, format):
     asset = read_asset(colored(tmp_path))
     colors = np.random.default_rng(0).integers(0, 256, (162, 3)).astype(np.float32) / 255
-    write = write_obj_colors if format == "obj" else write_ply_colors
-    write(asset, colors, tmp_path / f"out.{format}")
+    write(asset, Painting({}, colors), tmp_path / f"out.{format}")
     found = trimesh.load_mesh(tmp_path / f"out.{format}", process=False, maintain_order=True)
     np.testing.assert_array_equal(found.vertices, asset.parts[0].positions)
     np.testing.assert_array_equal(found.faces, asset.parts[0].faces)
@@ -168,9 +169,9 @@ def test_a_write_that_fails_half_way_leaves_the_old_file_and_nothing_else(tmp_pa
     path.write_bytes(b"old")
     noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
     writers = {
-        ".glb": lambda: write_glb_colors(asset, np.zeros((162, 3), np.float32), path),
-        ".obj": lambda: write_obj_colors(asset, np.zeros((162, 3), np.float32), path),
-        ".ply": lambda: write_ply_colors(asset, np.zeros((162, 3), np.float32), path),
+        ".glb": lambda: write(asset, Painting({}, np.zeros((162, 3), np.float32)), path),
+        ".obj": lambda: write(asset, Painting({}, np.zeros((162, 3), np.float32)), path),
+        ".ply": lambda: write(asset, Painting({}, np.zeros((162, 3), np.float32)), path),
         ".png": lambda: write_png(path, noise),
     }
     old = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -203,7 +204,7 @@ def test_what_a_new_ply_will_not_have_is_named_in_one_line(tmp_path, capsys):
     for format, more in (("ply", ", ASCII text, texture coordinates"), ("glb", ""), ("obj", "")):
         check_output(asset, format, [tmp_path / f"out.{format}"])
         assert capsys.readouterr().err == f"{asset.path}: {told}{more} stay behind\n"
-    write_ply_colors(asset, np.zeros((4, 3), np.float32), tmp_path / "out.ply")
+    write(asset, Painting({}, np.zeros((4, 3), np.float32)), tmp_path / "out.ply")
     check_output(read_asset(tmp_path / "out.ply"), "ply", [tmp_path / "b.ply"])
     assert capsys.readouterr().err == ""
 
@@ -228,14 +229,14 @@ def test_an_unwrapped_mesh_shows_its_vertex_colours_on_the_same_triangles(tmp_pa
     pytest.importorskip("xatlas", reason="xatlas is not installed: pip install '.[uv]'")
     asset = first = read_asset(colored(tmp_path))
     if through_a_run:  # a run keeps its asset as a GLB
-        write_glb_colors(first, first.parts[0].colors, tmp_path / "run.glb")
+        write(first, Painting({}, first.parts[0].colors), tmp_path / "run.glb")
         asset = read_asset(tmp_path / "run.glb")
     assert is_unwrappable(asset)
     charted = prepared_for(asset, "glb")
     assert not is_unwrappable(charted) and charted.digest == asset.digest
     atlas = atlas_texels(charted.mesh, 0, *charted.mesh.textures[0].shape[:2])
     assert len(np.unique(atlas.faces)) == len(asset.mesh.faces) + 1  # every face, and the gutter
-    write_glb(charted, charted.mesh.textures, tmp_path / "out.glb")
+    write(charted, Painting({"base_color": charted.mesh.textures}), tmp_path / "out.glb")
     again = read_asset(tmp_path / "out.glb")
     np.testing.assert_allclose(
         again.mesh.vertices[again.mesh.faces], asset.mesh.vertices[asset.mesh.faces], atol=1e-7

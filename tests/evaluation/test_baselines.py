@@ -10,7 +10,7 @@ from flx.evaluation import baselines, neural_field
 from flx.evaluation.baselines import Subject
 from flx.geometry.copies import queries, sample_rings
 from flx.pipeline.patches import ImagePatches
-from flx.types import Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
+from flx.types import Layer, Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
 
 SLOPES = np.array([[0.5, -0.2, 0.1], [0.1, 0.4, -0.3], [0.2, 0.1, 0.2]])
 
@@ -26,7 +26,11 @@ def subject(
     corners = shape.vertices[shape.faces]
     faces = len(shape.faces)
     none = np.zeros((faces, 3, 2))
-    mesh = TexturedMesh(*shape, none, np.zeros(faces, np.int64), (), np.asarray(colors(corners), np.float32))
+    mesh = TexturedMesh(
+        *shape,
+        {"base_color": Layer((), np.zeros(faces, np.int64), none)},
+        np.asarray(colors(corners), np.float32),
+    )
     rng = np.random.default_rng(0)
     points = SurfacePoints(rng.integers(0, faces, 500), rng.dirichlet(np.ones(3), 500))
     truth = np.einsum("pkc,pk->pc", mesh.corner_colors[points.faces], points.barycentrics)

@@ -5,7 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from flx.assets.vase import write_vase
+from flx.assets.arrays import sheet_asset
+from flx.assets.asset import own_painting
+from flx.assets.vase import vase_asset
+from flx.assets.write import write
 from flx.evaluation import reconstruction
 from flx.evaluation.reconstruction import markdown, means, reconstruction_table
 
@@ -13,7 +16,7 @@ from flx.evaluation.reconstruction import markdown, means, reconstruction_table
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table")
-    write_vase(folder / "vase.glb")
+    write(vase := vase_asset(), own_painting(vase), folder / "vase.glb")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reconstruction, "installed_judges", lambda: ())
         measure(folder, [400], ["vertex_colours"])
@@ -116,7 +119,7 @@ def test_an_image_is_laid_on_a_sheet_of_its_proportions(tmp_path):
 
     picture = np.random.default_rng(0).integers(0, 256, (40, 60, 3)).astype(np.uint8)
     Image.fromarray(picture).save(tmp_path / "picture.png")
-    asset = reconstruction.read_sheet(tmp_path / "picture.png")
+    asset = sheet_asset(tmp_path / "picture.png")
     np.testing.assert_array_equal(asset.mesh.textures[0], picture)
     size = np.ptp(asset.mesh.vertices, axis=0)
     np.testing.assert_allclose(size / size[1], [1.5, 1, 0])

@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 from flx.geometry.atlas import atlas_texels, fill_gutter, paint, with_filled_gutters
 from flx.geometry.raster import pixels_inside
 from flx.geometry.sampling import face_normals, locate, positions, ring_points, surface_colors, texture_colors
-from flx.types import SurfacePoints, TexturedMesh, Triangulation
+from flx.types import Layer, SurfacePoints, TexturedMesh, Triangulation
 
 
 def textured(triangulation: Triangulation, uvs: np.ndarray, *textures: np.ndarray) -> TexturedMesh:
     count = len(triangulation.faces)
     none = np.zeros(count, np.int64)
-    return TexturedMesh(*triangulation, uvs, none, textures, np.zeros((count, 3, 3), np.float32))
+    return TexturedMesh(
+        *triangulation, {"base_color": Layer(textures, none, uvs)}, np.zeros((count, 3, 3), np.float32)
+    )
 
 
 def separate_charts(triangulation: Triangulation, cells: int, fill: float = 0.8) -> np.ndarray:
@@ -73,7 +75,7 @@ def test_chunks_do_not_show(monkeypatch):
 def test_each_face_reads_its_own_texture_and_its_own_corners():
     ball = ellipsoid(0)
     mesh = textured(ball, separate_charts(ball, 3), *(np.full((8, 8, 3), c, np.uint8) for c in (51, 204)))
-    mesh = mesh._replace(face_textures=np.arange(8) % 2)
+    mesh = mesh.with_layer(face_images=np.arange(8) % 2)
     points = SurfacePoints(np.arange(8), np.full((8, 3), 1 / 3))
     np.testing.assert_allclose(
         surface_colors(mesh, points)[:, 0], np.where(np.arange(8) % 2, 0.8, 0.2), atol=1e-6
@@ -175,7 +177,7 @@ def test_the_first_face_owns_a_shared_texel_whatever_the_chunks(monkeypatch):
 def test_faces_without_uv_area_or_of_other_textures_have_no_texels():
     mesh = quad([(0, 0), (1, 0), (1, 1), (0.5, 0.5)])  # the second face is a line
     assert set(atlas_texels(mesh, 0, 16, 16).points.faces) == {0}
-    mesh = mesh._replace(face_textures=np.array([1, 1]))
+    mesh = mesh.with_layer(face_images=np.array([1, 1]))
     assert len(atlas_texels(mesh, 0, 16, 16).rows) == 0
 
 
@@ -232,7 +234,7 @@ def test_inside_a_chart_only_its_own_colour_is_seen_at_every_mip_level():
     def worst(image: np.ndarray, level: int) -> float:
         side = 2**level
         small = image.reshape(size // side, side, size // side, side, 3).mean((1, 3))
-        seen = surface_colors(mesh._replace(textures=(np.rint(small).astype(np.uint8),)), points)
+        seen = surface_colors(mesh.with_layer(images=(np.rint(small).astype(np.uint8),)), points)
         return float(np.abs(seen - colors[points.faces]).max())
 
     filled = paint(atlas, colors[atlas.points.faces])
@@ -285,7 +287,7 @@ def test_filled_gutters_end_black_bleeding_at_seams():
     atlas = atlas_texels(mesh, 0, 180, 180)
     bare = np.zeros((180, 180, 3), np.uint8)
     bare[atlas.rows, atlas.columns] = 200
-    mesh = mesh._replace(textures=(bare,))
+    mesh = mesh.with_layer(images=(bare,))
     points, _ = ring_points(ball, 4, np.random.default_rng(0))
     assert surface_colors(mesh, points).min() < 0.5  # the fault is there
     filled = surface_colors(with_filled_gutters(mesh), points)

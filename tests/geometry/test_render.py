@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flx.geometry.render import ENCODED, LINEAR, contact_sheet, render
-from flx.types import TexturedMesh
+from flx.types import Layer, TexturedMesh
 
 RED, GREEN, BLUE = (np.array(c, np.uint8) for c in ((220, 30, 30), (30, 200, 30), (30, 30, 220)))
 
@@ -16,14 +16,8 @@ def squares(*heights: float, textures: tuple = ()) -> TexturedMesh:
     pair = np.array([(0, 1, 2), (0, 2, 3)])
     vertices = np.concatenate([np.column_stack([corner, np.full(4, z)]) for z in heights])
     faces = np.concatenate([pair + 4 * n for n in range(len(heights))])
-    return TexturedMesh(
-        vertices,
-        faces,
-        np.tile(uvs[pair], (len(heights), 1, 1)),
-        np.repeat(np.arange(len(heights)), 2),
-        textures,
-        np.zeros((len(faces), 3, 3), np.float32),
-    )
+    layer = Layer(textures, np.repeat(np.arange(len(heights)), 2), np.tile(uvs[pair], (len(heights), 1, 1)))
+    return TexturedMesh(vertices, faces, {"base_color": layer}, np.zeros((len(faces), 3, 3), np.float32))
 
 
 def plain(color: np.ndarray) -> np.ndarray:
@@ -41,7 +35,9 @@ def test_the_nearer_square_hides_the_farther(azimuth, expected):
     middle = picture[20:44, 20:44].reshape(-1, 3).astype(int)
     assert (middle.argmax(1) == expected).all()
     # ... wherever it stands in the list of faces
-    turned = mesh._replace(faces=mesh.faces[[2, 3, 0, 1]], face_textures=mesh.face_textures[[2, 3, 0, 1]])
+    turned = mesh._replace(faces=mesh.faces[[2, 3, 0, 1]]).with_layer(
+        face_images=mesh.face_textures[[2, 3, 0, 1]]
+    )
     np.testing.assert_array_equal(render(turned, azimuth=azimuth, elevation=0, size=64), picture)
 
 

@@ -7,7 +7,7 @@ from helpers.surfaces import icosphere
 from flx.geometry.atlas import atlas_texels, paint
 from flx.geometry.sampling import positions
 from flx.geometry.seams import seam_jump, seam_ratio
-from flx.types import TexturedMesh
+from flx.types import Layer, TexturedMesh
 
 SIZE = 256
 
@@ -22,7 +22,9 @@ def two_charts() -> TexturedMesh:
     uvs[..., 0] += np.where(left, -0.25, 0.25)[:, None]
     none = np.zeros(len(faces), np.int64)
     black = np.zeros((SIZE, SIZE, 3), np.uint8)
-    return TexturedMesh(vertices, faces, uvs, none, (black,), np.zeros((len(faces), 3, 3), np.float32))
+    return TexturedMesh(
+        vertices, faces, {"base_color": Layer((black,), none, uvs)}, np.zeros((len(faces), 3, 3), np.float32)
+    )
 
 
 def painted(mesh: TexturedMesh, frequency: float, step: float = 0.0) -> TexturedMesh:
@@ -31,7 +33,7 @@ def painted(mesh: TexturedMesh, frequency: float, step: float = 0.0) -> Textured
     places = positions(mesh.vertices, mesh.faces, atlas.points)
     waves = 0.4 + 0.2 * np.sin(frequency * places @ np.random.default_rng(0).normal(size=(3, 3)))
     waves[mesh.corner_uvs[atlas.points.faces, 0, 0] > 0.5] += step
-    return mesh._replace(textures=(paint(atlas, waves.astype(np.float32)),))
+    return mesh.with_layer(images=(paint(atlas, waves.astype(np.float32)),))
 
 
 @pytest.mark.parametrize("frequency", [2, 10, 40])
@@ -57,12 +59,12 @@ def test_a_flat_texture_has_ratio_one():
 def test_shifting_a_chart_by_whole_repeats_makes_no_seam():
     mesh = painted(two_charts(), 10)
     shifted = mesh.corner_uvs + np.arange(len(mesh.faces))[:, None, None] % 3
-    there = seam_jump(mesh._replace(corner_uvs=shifted))
+    there = seam_jump(mesh.with_layer(corner_uvs=shifted))
     np.testing.assert_allclose(there, seam_jump(mesh), rtol=1e-9)
 
 
 def test_without_seams_or_without_textures_there_is_no_ratio():
     mesh = two_charts()
     whole = mesh.vertices[mesh.faces][..., 1:] * 0.4 + 0.5
-    assert seam_ratio(mesh._replace(corner_uvs=whole)) is None
-    assert seam_ratio(mesh._replace(textures=())) is None
+    assert seam_ratio(mesh.with_layer(corner_uvs=whole)) is None
+    assert seam_ratio(mesh.with_layer(images=())) is None

@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 from scipy.stats import special_ortho_group
 
-from flx.types import TexturedMesh, Triangulation
+from flx.types import Layer, TexturedMesh, Triangulation
 
 _PHI = (1 + 5**0.5) / 2
 _CORNERS = (
@@ -201,7 +201,10 @@ def sleeve(thickness: float, around: int = 48) -> TexturedMesh:
     inside = row[faces].min(1) < DEPTH
     colors = np.where(inside[:, None, None], BLUE, RED).repeat(3, 1).astype(np.float32)
     return TexturedMesh(
-        points, faces, np.zeros((*faces.shape, 2)), np.zeros(len(faces), np.int64), (), colors
+        points,
+        faces,
+        {"base_color": Layer((), np.zeros(len(faces), np.int64), np.zeros((*faces.shape, 2)))},
+        colors,
     )
 
 

@@ -9,9 +9,9 @@ from helpers.cube import CUBE, colored, saved
 from helpers.files import PLY, document, glb, png
 from PIL import Image
 
-from flx.assets.asset import Asset
+from flx.assets.asset import Asset, Painting
 from flx.assets.formats.obj_source import ObjSource
-from flx.assets.write import write_glb, write_glb_colors, write_obj
+from flx.assets.write import write
 from flx.config import Surface
 from flx.training.run import Run
 from flx.training.run_asset import keep, read_kept, read_source
@@ -109,7 +109,7 @@ def test_an_obj_comes_out_of_its_run_as_it_came_in(tmp_path):
     asset = keep(read_source(surface), Run(tmp_path / "run"), surface)
     assert isinstance(asset.container, ObjSource)
     (tmp_path / "out").mkdir()
-    write_obj(asset, asset.mesh.textures, tmp_path / "out" / "cube.obj")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out" / "cube.obj")
     before, after = (folder / "cube.obj" for folder in (tmp_path / "in", tmp_path / "out"))
     assert after.read_bytes() == before.read_bytes().replace(b"my cube.mtl", b"cube.mtl", 1)
     maps = {path.name for path in (tmp_path / "out" / "textures").iterdir()}
@@ -130,9 +130,9 @@ def test_a_run_that_kept_its_asset_as_one_glb_still_opens(tmp_path):
         surface = Surface(path=str(path), texture=str(tmp_path / given) if given else None)
         asset, old = read_source(surface), tmp_path / "run" / "asset" / "asset.glb"
         if asset.textures:
-            write_glb(asset, asset.mesh.textures, old)
+            write(asset, Painting({"base_color": asset.mesh.textures}), old)
         else:
-            write_glb_colors(asset, asset.parts[0].colors, old)
+            write(asset, Painting({}, asset.parts[0].colors), old)
         (tmp_path / "given.png").unlink()
         kept = keep(asset, Run(tmp_path / "run"), surface)
         assert kept.path == old and list(old.parent.iterdir()) == [old]

@@ -77,20 +77,20 @@ def found_beside(folder: Path, name: str) -> str:
     capitals, as Windows and macOS do not. Nothing outside of the folder is looked at.
     """
     words = re.split(r"[/\\]", name)
-    found: list[str] = []
+    matched: list[str] = []
     for word in [words[-1]] if is_absolute(name) else [w for w in words if w not in ("", ".")]:
         try:
-            entries = os.listdir(inside(folder, "/".join(found)))
+            entries = os.listdir(inside(folder, "/".join(matched)))
         except (BadFile, OSError):
             return ""
         alike = [entry for entry in entries if entry.casefold() == word.casefold()]
         if len(alike) != 1:
             return ""
-        found += alike
-    return "/".join(found) if found and is_there(folder, "/".join(found)) else ""
+        matched += alike
+    return "/".join(matched) if matched and is_there(folder, "/".join(matched)) else ""
 
 
-def told_apart(names: tuple[str, str]) -> str:
+def substitution(names: tuple[str, str]) -> str:
     """A name in a file, and the file that was taken for it."""
     return f"{quoted(names[0])} → {names[1]}"
 

@@ -1,4 +1,4 @@
-"""GLB files written: a glTF that was read, with its base colour replaced; or a new one from triangles.
+"""GLB files written: a glTF that was read, with the images of a slot replaced; or a new one from triangles.
 
 A file that was read is patched, never rebuilt: accessors, other maps, names, extras and transforms keep their
 index and their bytes. Every file is self-contained.
@@ -12,48 +12,64 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Num
 
-from flx.assets.formats.gltf import WIDTHS, Gltf, accessor, append, append_view, base_slot, texture_image
+from flx.assets.formats.gltf import (
+    IN_PBR,
+    TEXTURE_KEYS,
+    WIDTHS,
+    Gltf,
+    accessor,
+    append,
+    append_view,
+    texture_image,
+    texture_reference,
+)
 from flx.assets.formats.parts import Paint, Part
 from flx.geometry.color import linear
+from flx.types import Slot
 
 FLOAT, UNSIGNED = 5126, 5125
 
 
-def replace_base_color(gltf: Gltf, textures: Mapping[int, int], pngs: Mapping[int, bytes]) -> Gltf:
-    """The same file with other base colour images: material m shows `pngs[textures[m]]`.
+def replace_images(gltf: Gltf, slot: Slot, textures: Mapping[int, int], pngs: Mapping[int, bytes]) -> Gltf:
+    """The same file with other images in one slot: material m shows `pngs[textures[m]]`.
 
-    An image that only base colours show is replaced where it stands. One that another slot shows too
-    (occlusion, emission) stays, and the material is given a new image and texture; so is a material that has
-    none, and a primitive without a material (key `len(materials)`). All else keeps its place and its bytes.
+    An image that only this slot shows is replaced where it stands. One that another slot shows too stays, and
+    the material is given a new image and texture; so is a material that has none, and a primitive without a
+    material (key `len(materials)`). All else keeps its place and its bytes.
     """
     document, views = _copy(gltf.document), list(gltf.views)
     materials = document.setdefault("materials", [])
     if len(materials) in textures:
         _give_default_material(document)
-    slots = [base_slot(material) for material in materials]
-    shared = _images_of_other_slots(document, slots)
+    references = [texture_reference(material, slot) for material in materials]
+    shared = _images_of_other_slots(document, references)
+    words = slot.replace("_", " ")
     new: dict[int, int] = {}
     for material, number in textures.items():
-        slot, png = slots[material], pngs[number]
-        texture = slot.get("index", -1)
+        reference, png = references[material], pngs[number]
+        texture = reference.get("index", -1)
         image = texture_image(document, texture) if texture >= 0 else -1
         if image in shared or image < 0:
             if number not in new:
-                name = document["images"][image].get("name", "base color") if image >= 0 else "base color"
+                name = document["images"][image].get("name", words) if image >= 0 else words
                 new[number] = append(document, "images", {"name": name})
                 _put_image(document, views, new[number], png)
             texture = append(
                 document, "textures", dict(document["textures"][texture]) if texture >= 0 else {}
             )
             image = new[number]
-            if not slot:
-                slot = materials[material].setdefault("pbrMetallicRoughness", {})
-                slot = slot.setdefault("baseColorTexture", {})
-            slot["index"] = texture
+            if not reference:
+                reference = _holder(materials[material], slot).setdefault(TEXTURE_KEYS[slot], {})
+            reference["index"] = texture
         else:
             _put_image(document, views, image, png)
         _show(document, texture, image)
     return Gltf(document, tuple(views))
+
+
+def _holder(material: dict, slot: Slot) -> dict:
+    """The object of a material that refers to the texture of a slot."""
+    return material.setdefault("pbrMetallicRoughness", {}) if slot in IN_PBR else material
 
 
 def replace_colors(gltf: Gltf, colors: Mapping[tuple[int, int], Float32[Any, "_ 3"]]) -> Gltf:
@@ -102,14 +118,14 @@ def _give_default_material(document: dict) -> None:
             primitive.setdefault("material", material)
 
 
-def _images_of_other_slots(document: dict, slots: Sequence[dict]) -> set[int]:
-    """The images that something else than a base colour shows: their pixels must stay."""
-    base, found = {id(slot) for slot in slots}, set()
+def _images_of_other_slots(document: dict, references: Sequence[dict]) -> set[int]:
+    """The images that something else than these references shows: their pixels must stay."""
+    own, images = {id(reference) for reference in references}, set()
 
     def visit(value: Any, key: str = "") -> None:
         if isinstance(value, dict):
-            if key.endswith("Texture") and id(value) not in base and "index" in value:
-                found.add(texture_image(document, value["index"]))
+            if key.endswith("Texture") and id(value) not in own and "index" in value:
+                images.add(texture_image(document, value["index"]))
             for name, child in value.items():
                 visit(child, name)
         elif isinstance(value, list):
@@ -117,15 +133,15 @@ def _images_of_other_slots(document: dict, slots: Sequence[dict]) -> set[int]:
                 visit(child)
 
     visit(document.get("materials", []))
-    return found
+    return images
 
 
 def other_images(gltf: Gltf) -> list[str]:
     """The images that a file shows besides base colours, by name."""
     document = gltf.document
-    slots = [base_slot(material) for material in document.get("materials", [])]
+    base = [texture_reference(material) for material in document.get("materials", [])]
     images = document.get("images", [])
-    others = sorted(i for i in _images_of_other_slots(document, slots) if i >= 0)
+    others = sorted(i for i in _images_of_other_slots(document, base) if i >= 0)
     return [str(images[i].get("name") or images[i].get("uri") or f"image {i}") for i in others]
 
 
@@ -133,10 +149,10 @@ def missing_images(gltf: Gltf, painted: Iterable[int]) -> list[str]:
     """The files of images that are not there, less those that new base colours of some materials replace."""
     document = gltf.document
     materials, images = document.get("materials", []), document.get("images", [])
-    slots = [base_slot(material) for material in materials]
+    base = [texture_reference(material) for material in materials]
     new = {
-        texture_image(document, slots[m]["index"]) for m in painted if m < len(slots) and "index" in slots[m]
-    } - _images_of_other_slots(document, slots)
+        texture_image(document, base[m]["index"]) for m in painted if m < len(base) and "index" in base[m]
+    } - _images_of_other_slots(document, base)
     return [
         str(image.get("uri", "an image without data"))
         for i, image in enumerate(images)
@@ -172,35 +188,41 @@ def build_gltf(
     name: str,
     parts: Sequence[Part],
     paints: Sequence[Paint],
-    pngs: Mapping[int, bytes],
+    pngs: Mapping[Slot, Mapping[int, bytes]],
     colors: Sequence[Float32[Any, "_ 3"]] | None = None,
 ) -> Gltf:
     """A new file for triangles that came from another format: one mesh, a primitive for each part.
 
-    `pngs` holds the images of `Paint.texture`; `colors` are sRGB, one array for each part. Scans carry their
+    `pngs` holds the images of `Paint.textures`; `colors` are sRGB, one array for each part. Scans carry their
     light in the texture: not metallic, fully rough. OBJ and PLY know no culling: double sided. A material
     that no part has is left out.
     """
     document: dict = {"asset": {"version": "2.0", "generator": "flx"}, "scene": 0, "scenes": [{"nodes": [0]}]}
     views: list[bytes] = []
     document |= {"nodes": [{"mesh": 0, "name": name}], "meshes": [{"name": name, "primitives": []}]}
-    images = {}
-    for texture, png in pngs.items():
-        images[texture] = append(document, "textures", {"source": len(images)})
-        append(document, "images", {"name": f"base color {texture}"})
-        _put_image(document, views, images[texture], png)
+    images: dict[tuple[Slot, int], int] = {}
+    for slot, of_slot in pngs.items():
+        for texture, png in of_slot.items():
+            number = images[slot, texture] = append(document, "textures", {"source": len(images)})
+            append(document, "images", {"name": f"{slot.replace('_', ' ')} {texture}"})
+            _put_image(document, views, number, png)
     number_of: dict[int, int] = {}
     for number in sorted({part.material for part in parts}):
         paint = paints[number]
         pbr: dict = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        material = {"name": paint.name, "pbrMetallicRoughness": pbr, "doubleSided": True}
+        for slot, texture in paint.textures.items():
+            if (slot, texture) in images:
+                _holder(material, slot)[TEXTURE_KEYS[slot]] = {"index": images[slot, texture]}
+                if slot == "metallic_roughness":
+                    pbr["metallicFactor"] = 1.0  # factors multiply the image
+                elif slot == "emissive":
+                    material["emissiveFactor"] = [1.0, 1.0, 1.0]
         color = [1.0, 1.0, 1.0]
-        if paint.texture in images:
-            pbr["baseColorTexture"] = {"index": images[paint.texture]}
-        elif colors is None:
+        if ("base_color", paint.texture) not in images and colors is None:
             color = linear(np.array(paint.color)).tolist()
         if [*color, paint.opacity] != [1.0] * 4:
             pbr["baseColorFactor"] = [*color, paint.opacity]
-        material = {"name": paint.name, "pbrMetallicRoughness": pbr, "doubleSided": True}
         if paint.alpha_mode != "OPAQUE":
             material["alphaMode"] = paint.alpha_mode
         number_of[number] = append(document, "materials", material)

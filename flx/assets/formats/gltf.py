@@ -29,11 +29,12 @@ from flx.assets.formats.files import (
     inside,
     is_there,
     read_file,
-    told_apart,
+    substitution,
 )
 from flx.assets.formats.parts import Part
 from flx.assets.formats.schema import check_document
 from flx.geometry.color import srgb
+from flx.types import Slot
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -43,6 +44,14 @@ MIME_TYPES = {
     b"RIF": "image/webp",
     b"\xabKT": "image/ktx2",
 }
+TEXTURE_KEYS: dict[Slot, str] = {
+    "base_color": "baseColorTexture",
+    "normal": "normalTexture",
+    "metallic_roughness": "metallicRoughnessTexture",
+    "occlusion": "occlusionTexture",
+    "emissive": "emissiveTexture",
+}
+IN_PBR = ("base_color", "metallic_roughness")  # slots that lie in pbrMetallicRoughness
 TRIANGLES, STRIP, FAN = 4, 5, 6
 MOST_VALUES = 1 << 22  # of the JSON: an empty list of three bytes becomes a hundred
 MOST_PARTS = 1 << 14
@@ -53,7 +62,7 @@ class Gltf(NamedTuple):
 
     document: dict
     views: tuple[bytes, ...]
-    found: tuple[str, ...] = ()  # images that were read under another name than the file's
+    substitutions: tuple[str, ...] = ()  # images that were read under another name than the file's
 
 
 # ---------------------------------------------------------------------------------------------- reading
@@ -78,13 +87,13 @@ def read_gltf(path: Path) -> Gltf:
         views = [_view(i, v, buffers) for i, v in enumerate(document.get("bufferViews", []))]
     except KeyError as fault:
         raise BadFile(f"a buffer or buffer view has no {fault}; export it again") from fault
-    found = []
+    substitutions = []
     for image in document.get("images", []):
         if "uri" not in image:
             continue
         name = unquote(image["uri"])
         other = "" if _is_at_hand(path.parent, image["uri"]) else found_beside(path.parent, name)
-        found += [told_apart((name, other))] if other else []
+        substitutions += [substitution((name, other))] if other else []
         try:
             content = _resource(quote(other) or image["uri"], path.parent)
         except FileNotFoundError:
@@ -92,7 +101,7 @@ def read_gltf(path: Path) -> Gltf:
         image["mimeType"] = MIME_TYPES.get(content[:3], image.get("mimeType", "image/png"))
         image["bufferView"] = append_view(document, views, content)
         del image["uri"]
-    return Gltf(document, tuple(views), tuple(found))
+    return Gltf(document, tuple(views), tuple(substitutions))
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes]:
@@ -232,17 +241,17 @@ def parts(gltf: Gltf) -> list[Part]:
     A primitive without a material gets index `len(materials)`, the specification's default. A transform that
     mirrors turns the faces round, so that they stay counter-clockwise. Skins and morph targets rest.
     """
-    document, found = gltf.document, []
+    document, parts = gltf.document, []
     materials, read = document.get("materials", []), 0
     for node, world, number, primitive in _triangles(document):
-        if len(found) == MOST_PARTS:
+        if len(parts) == MOST_PARTS:
             raise BadFile(f"more than {MOST_PARTS:,} parts; join some")
         mesh = document["nodes"][node]["mesh"]
         attributes = primitive["attributes"]
         points = _attribute(gltf, attributes, "POSITION", (3,)).astype(np.float64)
         faces = _faces(gltf, primitive, len(points))
         material = primitive.get("material", len(materials))
-        slot = base_slot(materials[material]) if "material" in primitive else {}
+        reference = texture_reference(materials[material]) if "material" in primitive else {}
         with np.errstate(all="ignore"):  # what is not finite is refused by name, later
             points = points @ world[:3, :3].T + world[:3, 3]
             mirrored = np.linalg.det(world[:3, :3]) < 0
@@ -251,7 +260,7 @@ def parts(gltf: Gltf) -> list[Part]:
             material=material,
             positions=points,
             normals=_normals(gltf, attributes, world[:3, :3]),
-            uvs=_uvs(gltf, attributes, slot),
+            uvs=_uvs(gltf, attributes, reference),
             colors=_colors(gltf, attributes),
             faces=faces[:, ::-1].copy() if mirrored else faces,
             origin=(node, number),
@@ -265,10 +274,10 @@ def parts(gltf: Gltf) -> list[Part]:
                 raise BadFile(
                     f"{part.name!r} has {len(rows)} {what} for {len(points)} vertices; export it again"
                 )
-        found.append(part)
+        parts.append(part)
         read += max(len(faces), len(points) // 3)
         check_faces(read)  # a small file can show one mesh very often
-    return found
+    return parts
 
 
 def _triangles(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"], int, dict]]:
@@ -328,10 +337,23 @@ def _normals(gltf: Gltf, attributes: dict, world: Float64[Any, "3 3"]) -> Float6
         return np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True), posinf=0, neginf=0)
 
 
-def _uvs(gltf: Gltf, attributes: dict, slot: dict) -> Float64[Any, "V 2"] | None:
-    """The coordinates the base colour texture is read at: its own set, under KHR_texture_transform."""
-    transform = slot.get("extensions", {}).get("KHR_texture_transform", {})
-    name = f"TEXCOORD_{transform.get('texCoord', slot.get('texCoord', 0))}"
+def slot_uvs(gltf: Gltf, part: Part, slot: Slot) -> Float64[Any, "V 2"] | None:
+    """The coordinates at which a part reads the image of a slot, which may be others than `Part.uvs`."""
+    node, number = part.origin
+    mesh = gltf.document["meshes"][gltf.document["nodes"][node]["mesh"]]
+    materials = gltf.document.get("materials", [])
+    material = materials[part.material] if part.material < len(materials) else {}
+    uvs = _uvs(gltf, mesh["primitives"][number]["attributes"], texture_reference(material, slot))
+    if uvs is not None and len(uvs) != len(part.positions):
+        count = f"{len(uvs)} texture coordinates for {len(part.positions)} vertices"
+        raise BadFile(f"{part.name!r} has {count}; export it again")
+    return uvs
+
+
+def _uvs(gltf: Gltf, attributes: dict, reference: dict) -> Float64[Any, "V 2"] | None:
+    """The coordinates a texture is read at: its own set, under KHR_texture_transform."""
+    transform = reference.get("extensions", {}).get("KHR_texture_transform", {})
+    name = f"TEXCOORD_{transform.get('texCoord', reference.get('texCoord', 0))}"
     if name not in attributes:
         return None
     u, v = (_attribute(gltf, attributes, name, (2,)).astype(np.float64) * transform.get("scale", [1, 1])).T
@@ -345,18 +367,31 @@ def _colors(gltf: Gltf, attributes: dict) -> Float32[Any, "V 3"] | None:
     return srgb(_attribute(gltf, attributes, "COLOR_0", (3, 4))[:, :3]).astype(np.float32)
 
 
-def base_slot(material: dict) -> dict:
-    """The texture reference of a material's base colour; empty where it has none."""
+def texture_reference(material: dict, slot: Slot = "base_color") -> dict:
+    """How a material refers to the texture of a slot; empty where it has none."""
+    holder = material.get("pbrMetallicRoughness", {}) if slot in IN_PBR else material
     gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
-    return (
-        material.get("pbrMetallicRoughness", {}).get("baseColorTexture") or gloss.get("diffuseTexture") or {}
-    )
+    diffuse = gloss.get("diffuseTexture") if slot == "base_color" else None
+    return holder.get(TEXTURE_KEYS[slot]) or diffuse or {}
 
 
 def base_color(material: dict) -> tuple[float, float, float]:
     """The flat colour of a material, in sRGB."""
     r, g, b = srgb(np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1])[:3]))
     return float(r), float(g), float(b)
+
+
+def flat_values(material: dict) -> dict[Slot, tuple[float, float, float]]:
+    """What a material has all over in slots other than its base colour; what is no number is left out."""
+    pbr, values = material.get("pbrMetallicRoughness", {}), {}
+    factors = [pbr.get(key, 1) for key in ("roughnessFactor", "metallicFactor")]
+    light = material.get("emissiveFactor", [0, 0, 0])
+    if all(isinstance(x, int | float) for x in factors):
+        values["metallic_roughness"] = (1.0, float(factors[0]), float(factors[1]))
+    if isinstance(light, list) and len(light) == 3 and all(isinstance(x, int | float) for x in light):
+        r, g, b = srgb(np.array(light))
+        values["emissive"] = (float(r), float(g), float(b))
+    return values
 
 
 def texture_image(document: dict, texture: int) -> int:

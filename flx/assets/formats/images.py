@@ -1,16 +1,18 @@
-"""Encoded images → pixels: 8-bit RGB, and alpha beside it; and back, as PNG.
+"""Encoded images → pixels: RGB of 8 bits, or of 16 where asked, and 8-bit alpha beside it; and back, as PNG.
 
 Decoded at once, never lazily, and not before the number of pixels in the header is known to be bearable.
 Formats are named one by one: Pillow knows some (EPS) that start other programs.
 """
 
 import io
+import struct
 import warnings
+import zlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import UInt, UInt8, UInt16
 from PIL import Image
 
 from flx.assets.formats.files import BadFile, limit
@@ -64,8 +66,8 @@ def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[
     try:
         image.load()
     except Exception as fault:  # a decoder may raise anything
-        told = " ".join(str(fault).split())[:80]
-        raise BadFile(f"image {name!r} is broken ({told}); save it again") from fault
+        reason = " ".join(str(fault).split())[:80]
+        raise BadFile(f"image {name!r} is broken ({reason}); save it again") from fault
     if image.mode.startswith("I"):
         image = Image.fromarray(np.rint(np.asarray(image) / 257).clip(0, 255).astype(np.uint8))
     elif image.mode == "F":
@@ -78,22 +80,61 @@ def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[
     return np.array(image.convert("RGB")), alpha
 
 
-def told_of(content: bytes, name: str) -> str:
-    """What an image has that 8-bit RGB (and alpha, which is kept) has not: "" or, say, "16-bit grey"."""
+def decode_map(content: bytes, name: str) -> tuple[UInt[Any, "H W 3"], UInt8[Any, "H W"] | None]:
+    """As `decode_image`, but the 16 bits of a PNG stay 16.
+
+    Pillow keeps the high byte of 16-bit RGB. Told that the bytes are swapped, it keeps the low one.
+    """
+    pixels, alpha = decode_image(content, name)
     image = open_image(content, name)
-    bits = "16-bit " if ";16" in str(getattr(image, "tile", "")) else ""
+    layout = str(image.tile[0].args) if image.format == "PNG" and image.tile else ""  # pyright: ignore
+    if layout in ("RGB;16B", "RGBA;16B"):
+        image.tile = [tile._replace(args=f"{layout[:-1]}L") for tile in image.tile]  # pyright: ignore
+        return pixels.astype(np.uint16) << 8 | np.asarray(image)[..., :3], alpha
+    if layout.startswith("I;16"):
+        return np.repeat(np.asarray(image).astype(np.uint16)[..., None], 3, 2), alpha
+    return pixels, alpha
+
+
+def bits_of(image: Image.Image) -> int:
+    """Bits a channel, 8 or 16, of an image that is not decoded yet."""
+    return 16 if ";16" in str(getattr(image, "tile", "")) else 8
+
+
+def original_kind(content: bytes, name: str) -> str:
+    """What an image was before it became 8-bit RGB: "16-bit grey", say; "" if it was that (alpha is kept)."""
+    image = open_image(content, name)
+    bits = "16-bit " if bits_of(image) == 16 else ""
     kind = KINDS.get(image.mode, image.mode)
     return "" if f"{bits}{kind}" == "RGB" else f"{bits}{kind}"
 
 
-def encode_png(image: UInt8[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:
-    """A PNG; `alpha`, of any size, makes it RGBA."""
+def encode_png(image: UInt[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:
+    """A PNG of 8 or 16 bits, as the image has; `alpha`, of any size, makes it RGBA."""
+    size = image.shape[1::-1]
+    mask = None if alpha is None else Image.fromarray(alpha).resize(size, Image.Resampling.BILINEAR)
+    if image.dtype == np.uint16:
+        more = [] if mask is None else [np.asarray(mask).astype(np.uint16)[..., None] * 257]
+        return _deep_png(np.concatenate([image, *more], 2))
     picture = Image.fromarray(image)
-    if alpha is not None:
-        picture.putalpha(Image.fromarray(alpha).resize(picture.size, Image.Resampling.BILINEAR))
+    if mask is not None:
+        picture.putalpha(mask)
     content = io.BytesIO()
     picture.save(content, format="PNG")
     return content.getvalue()
+
+
+def _deep_png(image: UInt16[Any, "H W C"]) -> bytes:
+    """A 16-bit PNG of three or four channels, which Pillow cannot write; rows as differences of pixels."""
+    height, width, channels = image.shape
+    rows = image.astype(">u2").view(np.uint8).reshape(height, width, -1)
+    steps = np.diff(rows, axis=1, prepend=np.zeros_like(rows[:, :1])).reshape(height, -1)
+    lines = np.concatenate([np.ones((height, 1), np.uint8), steps], 1)
+    header = struct.pack(">IIBBBBB", width, height, 16, {3: 2, 4: 6}[channels], 0, 0, 0)
+    png = b"\x89PNG\r\n\x1a\n"
+    for kind, body in ((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())), (b"IEND", b"")):
+        png += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    return png
 
 
 def check_together(contents: Mapping[str, bytes]) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from flx.assets.formats.files import BadFile, numbers
 from flx.assets.formats.parts import Material
+from flx.types import Slot
 
 STATEMENT = re.compile(
     rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t\v\f]*+(?P<key>[^\s#]\S*+)[ \t\v\f]*+(?P<value>[^\r\n]*+)"
@@ -28,6 +29,12 @@ NO_FILE = {"map_aat"}  # a switch
 OPTIONS = {b"-mm": 2, b"-o": 3, b"-s": 3, b"-t": 3}  # numbers that follow, at most; one word otherwise
 FLAGS = {b"-blendu", b"-blendv", b"-bm", b"-boost", b"-cc", b"-clamp", b"-imfchan", b"-texres", b"-type"}
 READ = {"newmtl", "kd", "d", "tr", "map_kd"}
+# Maps of other slots. A bump map may hold heights or normals: its name must say which.
+SLOTS: dict[str, Slot] = {
+    **{"norm": "normal", "bump": "normal", "map_bump": "normal"},
+    **{"map_pr": "metallic_roughness", "map_pm": "metallic_roughness", "map_ke": "emissive"},
+}
+NORMAL_MAP = re.compile(r"(?:\b|_)(?:nor|nrm|norm|normal)(?:s|map|gl)?(?:\b|_)", re.IGNORECASE)
 MOST_MAPS = 1 << 12
 
 
@@ -57,14 +64,15 @@ class Mapped(NamedTuple):
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
     options: tuple[str, ...] = ()  # of map_Kd that are not applied
+    moved: frozenset[Slot] = frozenset()  # other slots whose image has an -s or -o
 
 
 def statements(content: bytes) -> Iterator[Statement]:
     """Every statement of a library; comments and empty lines are passed over."""
-    for found in STATEMENT.finditer(content):
-        value = found["value"].rstrip()
-        start, key = found.start("value"), found["key"].decode(errors="replace").lower()
-        yield Statement(key, value, start, start + len(value), found.end())
+    for match in STATEMENT.finditer(content):
+        value = match["value"].rstrip()
+        start, key = match.start("value"), match["key"].decode(errors="replace").lower()
+        yield Statement(key, value, start, start + len(value), match.end())
 
 
 def material_name(statement: Statement) -> str:
@@ -132,14 +140,25 @@ def parse_mtl(content: bytes) -> dict[str, Mapped]:
         elif statement.key == "map_d" and name and (file := file_name(statement)):
             materials[name] = _saying(materials[name], opacity_image=file.name)
         elif statement.key == "map_kd" and name and (file := file_name(statement)):
-            kept = {o: v for o, v in file.options.items() if o not in ("-s", "-o")}
-            materials[name] = Mapped(
-                materials[name].material._replace(image=file.name),
+            unapplied = {o: v for o, v in file.options.items() if o not in ("-s", "-o")}
+            materials[name] = materials[name]._replace(
+                material=materials[name].material._replace(image=file.name),
                 scale=_pair(file.options.get("-s", ()), 1.0),
                 offset=_pair(file.options.get("-o", ()), 0.0),
-                options=tuple(" ".join([option, *words]) for option, words in kept.items()),
+                options=tuple(" ".join([option, *words]) for option, words in unapplied.items()),
             )
+        elif statement.key in SLOTS and name and (file := file_name(statement)):
+            materials[name] = _with_map(materials[name], statement.key, file)
     return materials
+
+
+def _with_map(mapped: Mapped, key: str, file: FileName) -> Mapped:
+    """The material with the map of another slot; norm goes before a bump map."""
+    slot, maps = SLOTS[key], mapped.material.maps
+    if "bump" in key and (slot in maps or not NORMAL_MAP.search(file.name)):
+        return mapped
+    moved = mapped.moved | {slot} if {"-s", "-o"} & file.options.keys() else mapped.moved - {slot}
+    return _saying(mapped, maps={**maps, slot: file.name})._replace(moved=moved)
 
 
 def _saying(mapped: Mapped, **properties: Any) -> Mapped:
@@ -207,5 +226,5 @@ def edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:
 
 def line_end(content: bytes) -> bytes:
     """How the lines of a file end."""
-    found = LINE_END.search(content)
-    return found[0] if found else b"\n"
+    first = LINE_END.search(content)
+    return first[0] if first else b"\n"

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
-from flx.assets.formats.glb import glb_bytes, replace_base_color
+from flx.assets.asset import Painting
+from flx.assets.formats.glb import glb_bytes, replace_images
 from flx.assets.formats.gltf import Gltf, accessor, image_bytes, parts, read_gltf
 from flx.assets.preflight import check_output
 from flx.assets.read import read_asset
-from flx.assets.write import write_glb, write_glb_colors
+from flx.assets.write import write
 from flx.files import write_atomically
 from flx.geometry.color import linear, srgb
 
@@ -127,7 +128,7 @@ def test_only_the_base_colour_images_change(tmp_path, external):
     assert [t.shape for t in asset.mesh.textures] == [(4, 8, 3)] * 2
     assert tuple(asset.mesh.textures[0][0, 0]) == (200, 10, 10)
     new = [np.full((16, 16, 3), 7, np.uint8), np.full((2, 2, 3), 9, np.uint8)]
-    write_glb(asset, new, tmp_path / "out.glb")
+    write(asset, Painting({"base_color": new}), tmp_path / "out.glb")
     out = read_gltf(tmp_path / "out.glb")
     assert without_storage(out.document) == without_storage(gltf.document)
     assert all(view["byteOffset"] % 4 == 0 for view in out.document["bufferViews"])
@@ -144,7 +145,11 @@ def test_only_the_base_colour_images_change(tmp_path, external):
 def test_an_image_that_occlusion_shares_stays_for_occlusion(tmp_path):
     gltf = container(occlusion_shares=True)
     asset = read_asset(save(gltf, tmp_path / "a.glb"))
-    write_glb(asset, [np.full((4, 4, 3), v, np.uint8) for v in (50, 60)], tmp_path / "out.glb")
+    write(
+        asset,
+        Painting({"base_color": [np.full((4, 4, 3), v, np.uint8) for v in (50, 60)]}),
+        tmp_path / "out.glb",
+    )
     out = read_gltf(tmp_path / "out.glb")
     green = out.document["materials"][1]
     assert green["occlusionTexture"] == {"index": 1} and image_bytes(out, 1) == image_bytes(gltf, 1)
@@ -158,7 +163,7 @@ def test_two_materials_of_one_image_share_the_new_one(tmp_path):
     gltf.document["materials"][1]["pbrMetallicRoughness"]["baseColorTexture"]["index"] = 0
     asset = read_asset(save(gltf, tmp_path / "a.glb"))
     assert len(asset.mesh.textures) == 1
-    write_glb(asset, [np.full((4, 4, 3), 5, np.uint8)], tmp_path / "out.glb")
+    write(asset, Painting({"base_color": [np.full((4, 4, 3), 5, np.uint8)]}), tmp_path / "out.glb")
     out = read_gltf(tmp_path / "out.glb")
     assert len(out.document["images"]) == 3 and image_bytes(out, 1) == image_bytes(gltf, 1)
 
@@ -173,7 +178,7 @@ def test_a_texture_is_given_to_materials_and_primitives_that_had_none(tmp_path):
     with pytest.raises(ValueError, match="no material has a base colour texture"):
         read_asset(path)
     asset = read_asset(path, tmp_path / "t.png")
-    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
     assert read_asset(tmp_path / "out.glb").digest == asset.digest
 
 
@@ -310,7 +315,7 @@ def test_vertex_colours_come_back_and_instances_are_told_apart(tmp_path, alpha):
     assert asset.report.color_source == "vertex colours" and len(asset.parts) == 4
     assert np.allclose(asset.parts[0].colors, [0, 1, 0])
     colors = np.random.default_rng(0).uniform(size=(16, 3)).astype(np.float32)
-    write_glb_colors(asset, colors, tmp_path / "out.glb")
+    write(asset, Painting({}, colors), tmp_path / "out.glb")
     again = read_asset(tmp_path / "out.glb")
     assert np.allclose(again.mesh.corner_colors, colors[asset.corner_vertices], atol=1e-6)
     out = read_gltf(tmp_path / "out.glb")
@@ -336,7 +341,7 @@ def test_webp_sources_are_read_and_leave_with_the_image(tmp_path):
     views[4] = content.getvalue()
     asset = read_asset(save(Gltf(gltf.document, tuple(views)), tmp_path / "a.glb"))
     assert tuple(asset.mesh.textures[1][0, 0]) == (0, 0, 255)
-    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
     out = read_gltf(tmp_path / "out.glb")
     assert out.document["textures"][1] == {"source": 1}
     assert out.document["images"][1]["mimeType"] == "image/png"
@@ -345,7 +350,7 @@ def test_webp_sources_are_read_and_leave_with_the_image(tmp_path):
 def test_the_input_container_is_not_changed():
     gltf = container()
     before = copy.deepcopy(gltf)
-    replace_base_color(gltf, {0: 0, 1: 1}, {0: b"a", 1: b"b"})
+    replace_images(gltf, "base_color", {0: 0, 1: 1}, {0: b"a", 1: b"b"})
     assert gltf == before
 
 
@@ -401,5 +406,5 @@ def test_a_file_that_is_not_there_and_is_still_named_is_told(tmp_path, capsys, g
     told = "gone 1.png, gone 2.png" if given else "gone 2.png"
     check_output(asset, "glb", [tmp_path / "out.glb"])
     assert capsys.readouterr().err == f"{asset.path}: not there, but named in what is written: {told}\n"
-    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
     assert ", ".join(read_asset(tmp_path / "out.glb").report.missing_images) == told

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from flx.assets.asset import Painting
 from flx.assets.conversion import left_behind
 from flx.assets.formats import glb
 from flx.assets.formats.files import found_beside
@@ -19,7 +20,7 @@ from flx.assets.formats.obj_source import ObjSource, write_copy
 from flx.assets.preflight import check_output
 from flx.assets.read import read_asset
 from flx.assets.unwrap import prepared_for
-from flx.assets.write import check_room, write_glb, write_obj, write_obj_colors
+from flx.assets.write import check_room, write
 from flx.commands.doctor import describe
 from flx.config import Surface
 from flx.training.run import Run
@@ -32,7 +33,7 @@ def test_two_lines_change_and_all_files_go_along(tmp_path, end):
     path = tmp_path / "out" / "new.obj"
     path.parent.mkdir()
     images = new_images(asset)
-    write_obj(asset, images, path)
+    write(asset, Painting({"base_color": images}), path)
     e = end.encode()
     assert changed(asset.path, path) == [(b"mtllib my cube.mtl" + e, b"mtllib new.mtl" + e)]
     was, now = b"map_Kd -clamp on -s 1 1 1 textures/wood grain.png", b"map_Kd -clamp on -s 1 1 1 new_0.png"
@@ -48,7 +49,9 @@ def test_two_lines_change_and_all_files_go_along(tmp_path, end):
     np.testing.assert_array_equal(again.mesh.textures[1], asset.mesh.textures[1])  # flat stays
     assert (again.textures[0].alpha == 77).all()
     assert again.report.polygons == asset.report.polygons == 5
-    write_obj(asset, asset.mesh.textures, path)  # its own colours: the same mesh altogether
+    write(
+        asset, Painting({"base_color": asset.mesh.textures}), path
+    )  # its own colours: the same mesh altogether
     assert read_asset(path).digest == asset.digest
 
 
@@ -63,15 +66,18 @@ def test_several_variations_in_one_folder_share_the_maps(tmp_path):
     (tmp_path / "out").mkdir()
     paths = [tmp_path / "out" / f"variation_{n:02d}.obj" for n in range(2)]
     for path in paths:
-        write_obj(asset, new_images(asset), path)
+        write(asset, Painting({"base_color": new_images(asset)}), path)
         time = (tmp_path / "out" / "textures" / "bump.png").stat().st_mtime_ns
     check_output(asset, "obj", paths)
     assert time == (tmp_path / "out" / "textures" / "bump.png").stat().st_mtime_ns
     assert all(same_bits(read_asset(path), asset) for path in paths)
     (tmp_path / "out" / "textures" / "bump.png").write_bytes(b"of somebody else")
-    for write in (lambda: check_room(asset, paths[0]), lambda: write_obj(asset, new_images(asset), paths[0])):
+    for refused in (
+        lambda: check_room(asset, paths[0]),
+        lambda: write(asset, Painting({"base_color": new_images(asset)}), paths[0]),
+    ):
         with pytest.raises(ValueError, match=r"bump\.png is there, and is another image.*--out"):
-            write()
+            refused()
 
 
 def test_nothing_of_the_input_is_overwritten(tmp_path):
@@ -84,9 +90,11 @@ def test_nothing_of_the_input_is_overwritten(tmp_path):
     (path.parent / "link.obj").symlink_to("cube.obj")
     for name in ("cube.obj", "my cube.obj", "link.obj", "textures/../cube.obj"):
         with pytest.raises(ValueError, match=r"would overwrite a file of .*cube\.obj; name another --out"):
-            write_obj(asset, asset.mesh.textures, path.parent / name)
+            write(asset, Painting({"base_color": asset.mesh.textures}), path.parent / name)
     (path.parent / "link.obj").unlink()
-    write_obj(asset, asset.mesh.textures, path.parent / "fresh.obj")  # beside them is safe
+    write(
+        asset, Painting({"base_color": asset.mesh.textures}), path.parent / "fresh.obj"
+    )  # beside them is safe
     assert read_asset(path.parent / "fresh.obj").digest == asset.digest
     new = {name: (path.parent / name).read_bytes() for name in files(path.parent)}
     assert before.items() <= new.items() and new.keys() - before.keys() == {
@@ -103,7 +111,7 @@ def test_a_new_image_is_not_called_like_a_map_that_goes_along(tmp_path):
     (path.parent / "new_0.png").write_bytes(b"an old map")
     asset = read_asset(path)
     (tmp_path / "out").mkdir()
-    write_obj(asset, new_images(asset), tmp_path / "out" / "new.obj")
+    write(asset, Painting({"base_color": new_images(asset)}), tmp_path / "out" / "new.obj")
     assert (tmp_path / "out" / "new_0.png").read_bytes() == b"an old map"
     assert read_asset(tmp_path / "out" / "new.obj").textures[0].name == "new_0_new.png"
 
@@ -144,7 +152,7 @@ def test_what_is_no_image_of_the_folder_is_told_kept_in_its_line_and_never_copie
     assert asset.report.missing_images == (name,)
     out = tmp_path / "out" / "deep"
     out.mkdir(parents=True)
-    write_obj(asset, new_images(asset), out / "new.obj")
+    write(asset, Painting({"base_color": new_images(asset)}), out / "new.obj")
     assert files(tmp_path / "out") == {"deep/new.obj", "deep/new.mtl", "deep/new_0.png"}
     assert f"{key} {name}\n".encode() in (out / "new.mtl").read_bytes()
 
@@ -187,7 +195,7 @@ def test_an_image_named_by_another_machine_or_otherwise_in_capitals_is_found_and
         path.write_text(head + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n")
     elif format == "gltf":
         asset = read_asset(path)
-        document, views = glb.build_gltf("a", asset.parts, asset.paints, {0: b""})[:2]
+        document, views = glb.build_gltf("a", asset.parts, asset.paints, {"base_color": {0: b""}})[:2]
         document["images"][0] = {"uri": name}
         path = path.with_suffix(".glb")
         path.write_bytes(glb.glb_bytes(Gltf(document, views)))
@@ -199,7 +207,7 @@ def test_an_image_named_by_another_machine_or_otherwise_in_capitals_is_found_and
     assert keep(asset, run, Surface(path=str(path))).digest == asset.digest
     if format == "obj":
         (tmp_path / "out").mkdir()
-        write_obj(asset, asset.mesh.textures, tmp_path / "out" / "new.obj")
+        write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out" / "new.obj")
         wanted = b"newmtl wood\nmap_Kd new_0.png\nmap_Bump grain.png\n"
         assert (tmp_path / "out" / "new.mtl").read_bytes() == wanted
         assert files(tmp_path / "out") == {"new.obj", "new.mtl", "new_0.png", "grain.png"}
@@ -268,7 +276,7 @@ def test_a_given_texture_is_written_for_materials_without_one(tmp_path):
         asset = read_asset(path, tmp_path / "t.png")
         out = tmp_path / case / "out"
         out.mkdir()
-        write_obj(asset, asset.mesh.textures, out / "new.obj")
+        write(asset, Painting({"base_color": asset.mesh.textures}), out / "new.obj")
         assert (out / "new.mtl").read_bytes().decode() == wanted, case
         text, again = (out / "new.obj").read_text(), read_asset(out / "new.obj")
         assert len(text.splitlines()) == len(obj.splitlines()) + more, case
@@ -283,7 +291,7 @@ def test_each_of_several_libraries_stays_a_file_of_its_own(tmp_path):
     (path.parent / "b.MTL").write_text("Kd 1 0 0\nnewmtl bone white\nKd 0.2 0.4 0.6\n")
     asset = read_asset(path)
     (tmp_path / "out").mkdir()
-    write_obj(asset, asset.mesh.textures, tmp_path / "out" / "new.obj")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out" / "new.obj")
     assert changed(path, tmp_path / "out" / "new.obj") == [
         (b"mtllib a.mtl b.MTL\n", b"mtllib new.mtl new_1.mtl\n")
     ]
@@ -304,7 +312,7 @@ def test_scale_and_offset_of_an_image_move_the_texture_coordinates(tmp_path):
     np.testing.assert_array_equal(moved.mesh.corner_uvs[flat], plain.mesh.corner_uvs[flat])
     assert moved.report.ignored_options == ("wood: -mm 0 1",)
     (tmp_path / "out").mkdir()
-    write_obj(moved, moved.mesh.textures, tmp_path / "out" / "new.obj")
+    write(moved, Painting({"base_color": moved.mesh.textures}), tmp_path / "out" / "new.obj")
     assert read_asset(tmp_path / "out" / "new.obj").digest == moved.digest  # once, not twice
 
 
@@ -356,7 +364,7 @@ def test_only_the_colours_of_vertices_change(tmp_path, scale, more, end):
     new = np.random.default_rng(0).integers(0, 256, (9, 3)).astype(np.float32) / 255
     source = asset.container
     assert isinstance(source, ObjSource)
-    write_obj_colors(asset, new[source.rows], path)
+    write(asset, Painting({}, new[source.rows]), path)
     before, after = (p.read_bytes().decode() for p in (asset.path, path))
     rows = [k for k, line in enumerate(before.split("\n")) if line.startswith(("v ", " 0  "))]
     for k, (was, now) in enumerate(zip(before.split("\n"), after.split("\n"), strict=True)):
@@ -371,7 +379,7 @@ def test_only_the_colours_of_vertices_change(tmp_path, scale, more, end):
     assert "textures/bump.png" in files(path.parent)
     own = np.zeros((len(source.rows), 3), np.float32)
     own[asset.corner_vertices] = asset.mesh.corner_colors
-    write_obj_colors(asset, own, path)
+    write(asset, Painting({}, own), path)
     if scale == 1:
         assert read_asset(path).digest == asset.digest
     np.testing.assert_allclose(read_asset(path).mesh.corner_colors, asset.mesh.corner_colors, atol=1e-7)
@@ -381,7 +389,7 @@ def test_black_is_read_back_as_black_from_a_file_that_counted_to_255(tmp_path):
     text = colored(255).replace("v 9 9 9", "vt 9 9 #")
     asset = read_asset(saved(tmp_path / "in", text, "newmtl wood\n"))
     dark = np.full((asset.report.vertices_read, 3), 1 / 255, np.float32)
-    write_obj_colors(asset, dark, tmp_path / "in" / "new.obj")
+    write(asset, Painting({}, dark), tmp_path / "in" / "new.obj")
     np.testing.assert_array_equal(read_asset(tmp_path / "in" / "new.obj").mesh.corner_colors, dark[0, 0])
 
 
@@ -392,7 +400,7 @@ def test_faces_that_repair_drops_do_not_darken_what_lies_under_them(tmp_path):
     assert asset.report.duplicate_faces == 2
     new = np.zeros((asset.report.vertices_read, 3), np.float32)
     new[asset.corner_vertices] = 0.75
-    write_obj_colors(asset, new, tmp_path / "in" / "new.obj")
+    write(asset, Painting({}, new), tmp_path / "in" / "new.obj")
     assert (read_asset(tmp_path / "in" / "new.obj").mesh.corner_colors == 0.75).all()
 
 
@@ -420,7 +428,7 @@ def test_a_glb_is_as_opaque_as_the_materials_say(tmp_path, says, factor, mode, a
     image = Image.new("RGBA", (8, 4), (10, 20, 30, alpha))
     image.save(tmp_path / name)
     asset = read_asset(path)
-    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
     wood, bone = read_gltf(tmp_path / "out.glb").document["materials"]  # none for the faces there are not
     wanted = {77: mode, 255: "BLEND" if factor else "OPAQUE", 0: "MASK" if mode == "BLEND" else mode}[alpha]
     assert wood.get("alphaMode", "OPAQUE") == ("BLEND" if factor else wanted)
@@ -432,7 +440,7 @@ def test_a_glb_is_as_opaque_as_the_materials_say(tmp_path, says, factor, mode, a
 def test_a_glb_is_called_like_the_one_object_of_an_obj(tmp_path, more, name):
     path = saved(tmp_path, CUBE + more).rename(tmp_path / "mesh.obj")
     asset = read_asset(path)
-    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
     document = read_gltf(tmp_path / "out.glb").document
     assert document["nodes"][0]["name"] == document["meshes"][0]["name"] == name
 
@@ -448,7 +456,7 @@ def test_what_stays_behind_in_another_format_is_said_in_one_line(tmp_path, capsy
     check_output(asset, "obj", [tmp_path / "out.obj"])
     assert capsys.readouterr().err == f"{asset.path}: not there, but named in what is written: gone.png\n"
     assert left_behind(asset, "obj") == ""
-    write_glb(asset, asset.mesh.textures, tmp_path / "out.glb")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
     check_output(read_asset(tmp_path / "out.glb"), "obj", [tmp_path / "out.obj"])
     assert capsys.readouterr().err == ""  # a file of flx's own: nothing is lost twice
     with pytest.raises(ValueError, match="PLY"):
@@ -470,7 +478,7 @@ def test_of_a_thousand_maps_a_dozen_are_named(tmp_path):
 def test_a_byte_order_mark_is_no_part_of_the_first_word(tmp_path):
     asset = read_asset(saved(tmp_path / "in", "\ufeff" + CUBE.split("\n", 1)[1]))
     assert asset.textures[0].name == "textures/wood grain.png"
-    write_obj(asset, asset.mesh.textures, tmp_path / "in" / "new.obj")
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "in" / "new.obj")
     assert (tmp_path / "in" / "new.obj").read_bytes().startswith(b"\xef\xbb\xbfmtllib new.mtl\n")
     assert read_asset(tmp_path / "in" / "new.obj").digest == asset.digest
 
@@ -488,7 +496,7 @@ def test_a_real_obj_comes_out_as_it_went_in(tmp_path, name):
     asset = read_asset(path, tmp_path / "small.png")
     (tmp_path / "out").mkdir()
     new = tmp_path / "out" / "new.obj"
-    write_obj(asset, asset.mesh.textures, new)
+    write(asset, Painting({"base_color": asset.mesh.textures}), new)
     own = [line for line in path.read_bytes().splitlines(True) if not line.startswith(b"mtllib")]
     lines = new.read_bytes().splitlines(True)
     assert (

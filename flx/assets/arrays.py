@@ -1,0 +1,189 @@
+"""Assets from arrays and from trimesh, and back: judged, repaired and written as files are."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float64, Int
+from numpy.typing import ArrayLike
+from PIL import Image
+
+from flx.assets.assemble import FARTHEST, assemble, faults_of
+from flx.assets.asset import Asset, Painting, own_painting
+from flx.assets.formats.files import read_file
+from flx.assets.formats.images import open_image
+from flx.assets.formats.obj import unmerge
+from flx.assets.formats.parts import Material, Part
+from flx.assets.formats.readers import Contents
+from flx.geometry.arrays import distinct_rows
+from flx.geometry.color import quantized
+
+if TYPE_CHECKING:
+    import trimesh
+
+IMAGE = "base color"  # what the image of such an asset is called
+
+
+def from_arrays(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    uvs: ArrayLike | None = None,
+    image: ArrayLike | None = None,
+    colors: ArrayLike | None = None,
+    name: str = "mesh",
+) -> Asset:
+    """An asset of triangles with an image, or with colours at its vertices.
+
+    `uvs` [V, 2] or, for each corner, [F, 3, 2] run right and down; `image` [H, W, 3 or 4] and `colors`
+    [V, 3 or 4] are uint8, or numbers in [0, 1], all sRGB. Raises ValueError for what cannot be used.
+    """
+    points, triangles = _numbers(vertices, "vertices", (None, 3)), _faces(faces)
+    if not len(triangles) or not len(points):
+        raise ValueError(f"{len(points)} vertices and {len(triangles)} faces; give at least one triangle")
+    _check_rows(points, "vertices")
+    if not 0 <= triangles.min() <= triangles.max() < len(points):
+        face = int(((triangles < 0) | (triangles >= len(points))).any(1).argmax())
+        raise ValueError(
+            f"faces[{face}] is {triangles[face].tolist()}, but there are {len(points)} vertices, from 0"
+        )
+    tint = None if colors is None else _colors(colors, "colors", (len(points), -1)).astype(np.float32)
+    picture = None if image is None else _colors(image, "image", (None, None, -1))
+    if (picture is None) != (uvs is None) or (picture is None and tint is None):
+        raise ValueError("give an image together with uvs, or colors")
+    rows, coordinates, corners = np.arange(len(points)), None, triangles
+    if uvs is not None:
+        coordinates = np.asarray(uvs)
+        per_corner = coordinates.ndim == 3
+        coordinates = _numbers(uvs, "uvs", (len(triangles), 3, 2) if per_corner else (len(points), 2))
+        _check_rows(coordinates, "uvs")
+        if per_corner:
+            rows, coordinates, corners = split_corners(triangles, coordinates)
+    content = None if picture is None else quantized(picture)
+    white = Material("material", (1.0, 1.0, 1.0), None if content is None else IMAGE)
+    if content is not None and content.shape[2] == 4:
+        white = white._replace(opacity_image=IMAGE)
+    part = Part(name, 0, points[rows], None, coordinates, None if tint is None else tint[rows, :3], corners)
+    with faults_of(Path(name)):
+        contents = Contents([part], [white], lambda _: content, "", None, ())  # pyright: ignore
+        return assemble(Path(name), contents, format="arrays")
+
+
+def split_corners(
+    faces: Int[Any, "F 3"], uvs: Float64[Any, "F 3 2"]
+) -> tuple[Int[Any, "R"], Float64[Any, "R 2"], Int[Any, "F 3"]]:
+    """A row for each vertex and coordinate that occur together: its vertex, its coordinate, and the faces."""
+    first, which = distinct_rows(uvs.reshape(-1, 2))
+    rows, split = unmerge(np.stack([faces.ravel(), which], 1))
+    return rows[:, 0], uvs.reshape(-1, 2)[first][rows[:, 1]], split
+
+
+def _numbers(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Float64[Any, "..."]:
+    """As float64, of a shape in which None is any length and -1 is 3 or 4."""
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError) as fault:
+        raise ValueError(
+            f"{what} is no array of numbers ({fault}); give one of shape {_words(shape)}"
+        ) from None
+    alike = array.ndim == len(shape) and all(
+        side in ((3, 4) if wanted == -1 else (side if wanted is None else wanted,))
+        for side, wanted in zip(array.shape, shape, strict=False)
+    )
+    if not alike:
+        raise ValueError(f"{what} has shape {list(array.shape)}; give {_words(shape)}")
+    return array
+
+
+def _words(shape: tuple[int | None, ...]) -> str:
+    return f"[{', '.join({None: 'N', -1: '3 or 4'}.get(side, str(side)) for side in shape)}]"
+
+
+def _faces(faces: ArrayLike) -> Int[Any, "F 3"]:
+    numbers = _numbers(faces, "faces", (None, 3)) if len(np.shape(faces)) != 1 else np.zeros((0, 3))
+    whole = numbers.astype(np.int64)
+    if (whole != numbers).any():
+        face = int((whole != numbers).any(1).argmax())
+        raise ValueError(f"faces[{face}] is {numbers[face].tolist()}; give numbers of vertices, from 0")
+    return whole
+
+
+def _check_rows(rows: Float64[Any, "..."], what: str) -> None:
+    wrong = ~(np.abs(rows) < FARTHEST)
+    if wrong.any():
+        row = int(np.argwhere(wrong)[0, 0])
+        raise ValueError(f"{what}[{row}] is {rows[row].tolist()}; give finite numbers below {FARTHEST:g}")
+
+
+def _colors(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Float64[Any, "..."]:
+    """In [0, 1], of uint8 or of numbers."""
+    given = np.asarray(values)
+    numbers = _numbers(given, what, shape) / (255 if given.dtype == np.uint8 else 1)
+    if not numbers.size:
+        raise ValueError(f"{what} has shape {list(numbers.shape)}; give at least one pixel")
+    if not (np.abs(numbers - 0.5) <= 0.5).all():
+        worst = numbers.ravel()[np.abs(np.nan_to_num(numbers.ravel(), nan=np.inf) - 0.5).argmax()]
+        raise ValueError(f"{what} has the value {worst:g}; give uint8, or numbers from 0 to 1")
+    return numbers
+
+
+def from_trimesh(mesh: "trimesh.Trimesh", name: str = "mesh") -> Asset:
+    """The asset of a trimesh with a texture, or with colours of vertices or faces; there v runs up.
+
+    Raises ValueError where it has neither, as `from_arrays` does for what is wrong with them.
+    """
+    visual: Any = mesh.visual
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if visual.kind == "texture":
+        material = visual.material
+        image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+        if image is None or visual.uv is None:
+            raise ValueError("the visual of the mesh has no image or no uv; give both, or vertex colours")
+        image = image.convert("RGBA" if image.has_transparency_data else "RGB")
+        return from_arrays(vertices, faces, visual.uv * [1, -1] + [0, 1], np.asarray(image), name=name)
+    if visual.kind == "face":
+        colors, vertices = np.repeat(visual.face_colors, 3, axis=0), vertices[faces].reshape(-1, 3)
+        return from_arrays(vertices, np.arange(len(vertices)).reshape(-1, 3), colors=colors, name=name)
+    if visual.kind != "vertex":
+        raise ValueError("the mesh has no colours; give it a texture, or vertex colours")
+    return from_arrays(vertices, faces, colors=visual.vertex_colors, name=name)
+
+
+def to_trimesh(asset: Asset, painting: Painting | None = None) -> "trimesh.Trimesh":
+    """The asset's own triangles, with its own or new colours. Raises ValueError for more than one texture."""
+    import trimesh
+    from trimesh.visual import ColorVisuals, TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    if len(asset.textures) > 1:
+        raise ValueError(f"{asset.path} has {len(asset.textures)} textures, a Trimesh one; write a GLB")
+    starts = np.cumsum([0, *(len(part.positions) for part in asset.parts)])
+    faces = np.concatenate([part.faces + s for part, s in zip(asset.parts, starts, strict=False)])
+    mesh = trimesh.Trimesh(np.concatenate([p.positions for p in asset.parts]), faces, process=False)
+    painting = own_painting(asset) if painting is None else painting
+    if not asset.textures:
+        mesh.visual = ColorVisuals(mesh, vertex_colors=quantized(painting.colors))
+        return mesh
+    image = Image.fromarray(np.asarray(painting.images[0]))
+    if (alpha := asset.textures[0].alpha) is not None:
+        image.putalpha(Image.fromarray(alpha).resize(image.size, Image.Resampling.BILINEAR))
+    uvs = np.concatenate([np.zeros((len(p.positions), 2)) if p.uvs is None else p.uvs for p in asset.parts])
+    look = PBRMaterial(baseColorTexture=image, metallicFactor=0.0, roughnessFactor=1.0)
+    mesh.visual = TextureVisuals(uv=uvs * [1, -1] + [0, 1], material=look)
+    return mesh
+
+
+def sheet_asset(image: Path) -> Asset:
+    """A rectangle of the image's proportions that shows the whole of it.
+
+    Raises ValueError where the image cannot be read.
+    """
+    with faults_of(image):
+        width, height = open_image(read_file(image), image.name).size
+        uvs = np.array([(0, 1), (1, 1), (1, 0), (0, 0)], np.float64)
+        points = np.array([(u * width / height, 1 - v, 0) for u, v in uvs])
+        part = Part(image.stem, 0, points, None, uvs, None, np.array([(0, 1, 2), (0, 2, 3)]))
+        white = Material(image.stem, (1.0, 1.0, 1.0), None)
+        contents = Contents(
+            [part], [white], load_image=lambda _: b"", hint="", container=None, missing_images=()
+        )
+        return assemble(image, contents, image)

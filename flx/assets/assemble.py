@@ -1,0 +1,334 @@
+"""From what a reader found, or arrays held, to an `Asset`: judged, repaired, its images decoded.
+
+`flx.geometry.repair` makes a manifold of the mesh and counts what it does. Original rows are kept in
+`Asset.parts`: what is written is the file's own geometry, never the repaired one.
+
+Texture coordinates run right and down. Base colours become 8-bit RGB, other maps keep 16 bits; alpha is kept
+aside for the output. Factors that multiply a texture are ignored, and left as they are.
+"""
+
+import hashlib
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int, UInt
+
+from flx.assets.asset import Asset, Report, Texture
+from flx.assets.formats.files import BadFile, is_absolute, quoted, read_file
+from flx.assets.formats.images import check_together, decode_image, decode_map, original_kind
+from flx.assets.formats.parts import Material, Paint, Part
+from flx.assets.formats.readers import Contents, Picture
+from flx.geometry.atlas import uv_areas
+from flx.geometry.repair import Repaired, repair
+from flx.geometry.sampling import face_areas
+from flx.types import Layer, Slot, TexturedMesh
+
+FARTHEST = 1e30  # coordinates whose cubes are still numbers
+MOST_TILES = 100.0  # textures that the surface may cover, its repetitions counted
+
+
+class Choice(NamedTuple):
+    """The images of one slot, what goes with them, and which each material in use has."""
+
+    images: list[UInt[Any, "_ _ 3"]]
+    textures: list[Texture]
+    image_of: dict[int, int]
+
+
+def assemble(
+    path: Path,
+    contents: Contents,
+    texture: Path | None = None,
+    slots: Sequence[Slot] = ("base_color",),
+    format: str = "",
+) -> Asset:
+    """Parts stacked, repaired, and their corners coloured; `path` is the file, or what the asset is called.
+
+    Raises BadFile, ValueError or OSError as `flx.assets.read.read_asset` does, which words them.
+    """
+    parts = [part for part in contents.parts if len(part.faces)]
+    _check(parts)
+    choices = _choose_images(contents, parts, texture, slots)
+    offsets = np.cumsum([0, *(len(part.positions) for part in parts)])
+    faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=False)])
+    points = np.concatenate([part.positions for part in parts])
+    fixed = repair(points, faces)
+    corners = faces[fixed.sources]
+    materials = np.repeat([part.material for part in parts], [len(part.faces) for part in parts])
+    colors = np.concatenate([_colors(part, contents.materials[part.material]) for part in parts])
+    maps: dict[Slot, Layer] = {
+        slot: _layer(contents, parts, slot, choice, corners, materials[fixed.sources])
+        for slot, choice in choices.items()
+    }
+    plain = not choices["base_color"].images
+    corner_colors = colors[corners] if plain else np.zeros((len(corners), 3, 3), np.float32)
+    mesh = TexturedMesh(fixed.vertices, fixed.faces, maps, corner_colors)
+    _check_measures(mesh)
+    names: dict[Slot, dict[str, None]] = {}
+    for material in (contents.materials[m] for m in sorted({part.material for part in parts})):
+        for slot, name in material.maps.items():
+            names.setdefault(slot, {})[name] = None
+    return Asset(
+        path=path,
+        mesh=mesh,
+        report=_report(path, format, contents, parts, mesh, choices["base_color"].textures, fixed),
+        parts=tuple(parts),
+        paints=tuple(_paint(m, index, choices) for index, m in enumerate(contents.materials)),
+        sources={slot: tuple(choice.textures) for slot, choice in choices.items()},
+        map_names={slot: tuple(of_slot) for slot, of_slot in names.items()},
+        corner_vertices=corners,
+        container=contents.container,
+        digest=_digest(mesh),
+    )
+
+
+@contextmanager
+def faults_of(path: Path) -> Iterator[None]:
+    """Whatever is wrong inside becomes one ValueError that begins with the path."""
+    try:
+        yield
+    except FileNotFoundError as fault:
+        raise ValueError(f"{path}: {fault.filename} does not exist; put it there") from fault
+    except OSError as fault:
+        raise ValueError(
+            f"{path}: {str(fault.filename)[:80]} cannot be read ({fault.strerror}); make it readable"
+        ) from fault
+    except ValueError as fault:
+        raise ValueError(f"{path}: {fault}") from fault
+
+
+def _check(parts: Sequence[Part]) -> None:
+    """What nothing later looks at: indices in range, and numbers that one can reckon with."""
+    if not parts:
+        raise ValueError("no triangles; export the mesh with faces")
+    for part in parts:
+        if not 0 <= part.faces.min() <= part.faces.max() < len(part.positions):
+            worst = part.faces.max() if part.faces.min() >= 0 else part.faces.min()
+            raise ValueError(
+                f"a face of {part.name!r} names vertex {worst} of {len(part.positions)}; export it again"
+            )
+        for rows, what in (
+            (part.positions, "vertex"),
+            (part.uvs, "the texture coordinate of vertex"),
+            (part.colors, "the colour of vertex"),
+        ):
+            _check_finite(part, rows, what)
+
+
+def _check_finite(part: Part, rows: Float64[Any, "V C"] | Any, what: str) -> None:
+    if rows is None:
+        return
+    used = np.zeros(len(rows), bool)
+    used[part.faces] = True
+    wrong = used & ~(np.abs(rows) < FARTHEST).all(1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        value = f"{what} {row} of {part.name!r} is {rows[row].tolist()}: not finite, or too far"
+        raise ValueError(f"{value}; export it again")
+
+
+# ---------------------------------------------------------------------------------------------- images
+
+
+def _choose_images(
+    contents: Contents, parts: Sequence[Part], override: Path | None, slots: Sequence[Slot]
+) -> dict[Slot, Choice]:
+    """The images of base colours and of the slots asked for, bounded together before any is decoded."""
+    used = sorted({part.material for part in parts})
+    wanted: dict[Slot, dict[int, str]] = {"base_color": _wanted_colors(contents, used, override)}
+    for slot in slots:
+        if slot not in wanted:
+            wanted[slot] = _wanted_maps(contents, used, slot)
+    for part in parts:
+        for slot, names in wanted.items():
+            if part.material in names and _uvs(contents, part, slot) is None:
+                what = "a texture" if slot == "base_color" else f"a {slot} map"
+                raise ValueError(f"{part.name!r} has {what} but no texture coordinates; unwrap it first")
+    base = list(dict.fromkeys(wanted["base_color"].values()))
+    encoded: dict[str, bytes | Picture] = {
+        name: read_file(override) if override is not None else _encoded(contents, name, len(base) == 1)
+        for name in base
+    }
+    for name in (name for slot in wanted if slot != "base_color" for name in wanted[slot].values()):
+        if name not in encoded:
+            encoded[name] = _encoded(contents, name, False)
+    check_together({name: content for name, content in encoded.items() if isinstance(content, bytes)})
+    return {slot: _decoded(contents, encoded, slot, names, used) for slot, names in wanted.items()}
+
+
+def _wanted_colors(contents: Contents, used: Sequence[int], override: Path | None) -> dict[int, str]:
+    """The base colour image of each material that has one; none: vertex colours."""
+    wanted = {m: name for m in used if (name := contents.materials[m].image) is not None}
+    if override is not None:
+        if (count := len(set(wanted.values()))) > 1:
+            raise ValueError(f"{count} base colour images, --texture replaces one; edit the materials")
+        return dict.fromkeys(wanted or used, str(override))
+    return wanted
+
+
+def _wanted_maps(contents: Contents, used: Sequence[int], slot: Slot) -> dict[int, str]:
+    """The image in another slot of each material that has one. Raises ValueError where none has."""
+    wanted = {m: name for m in used if (name := contents.materials[m].maps.get(slot))}
+    if not wanted:
+        others = ", ".join(sorted({name for m in used for name in contents.materials[m].maps})) or "none"
+        raise ValueError(f"no material has a {slot} map (other maps: {others}); leave it out of slots")
+    return wanted
+
+
+def _decoded(
+    contents: Contents,
+    encoded: dict[str, bytes | Picture],
+    slot: Slot,
+    wanted: dict[int, str],
+    used: Sequence[int],
+) -> Choice:
+    """Decoded images, and a small one for each material that has a flat value instead."""
+    if not wanted and any(part.colors is not None for part in contents.parts):
+        return Choice([], [], {})
+    if not wanted:
+        raise ValueError(f"no texture and no vertex colours ({contents.hint}); pass --texture IMAGE")
+    names, images, textures = list(dict.fromkeys(wanted.values())), [], []
+    for name in names:
+        content, kind = encoded[name], ""
+        if not isinstance(content, bytes):
+            image, alpha = content[..., :3], content[..., 3] if content.shape[2] == 4 else None
+            alpha = None if alpha is None or (alpha == 255).all() else alpha
+        elif slot == "base_color":
+            (image, alpha), kind = decode_image(content, name), original_kind(content, name)
+        else:
+            image, alpha = decode_map(content, name)
+        images.append(image)
+        textures.append(Texture(name, alpha, flat=False, made_from=kind))
+    image_of = {m: names.index(name) for m, name in wanted.items()}
+    for material in used:
+        if material not in image_of:
+            image_of[material] = len(images)
+            value = np.nan_to_num(contents.materials[material].flat_value(slot)).clip(0, 1)
+            images.append(np.tile(np.rint(255 * value).astype(np.uint8), (4, 4, 1)))
+            textures.append(Texture(contents.materials[material].name, None, flat=True))
+    return Choice(images, textures, image_of)
+
+
+def _encoded(contents: Contents, name: str, replaceable: bool) -> bytes | Picture:
+    """An image. --texture is advised where it helps: it takes the place of one base colour image alone."""
+    try:
+        return contents.load_image(name)
+    except FileNotFoundError as fault:
+        named = str(fault.filename)
+        where = "beside the mesh" if is_absolute(named) or not re.search(r"[/\\]", named) else "there"
+        other = ", or pass --texture" if replaceable else ""
+        raise BadFile(f"{quoted(named)} does not exist; put it {where}{other}") from fault
+
+
+# ---------------------------------------------------------------------------------------------- the mesh
+
+
+def _layer(
+    contents: Contents,
+    parts: Sequence[Part],
+    slot: Slot,
+    choice: Choice,
+    corners: Int[Any, "F 3"],
+    materials: Int[Any, "F"],
+) -> Layer:
+    """The images of a slot, and where the corners of repaired faces read them."""
+    image_of = np.array([choice.image_of.get(m, 0) for m in range(len(contents.materials))])
+    if not choice.images:
+        return Layer((), image_of[materials], np.zeros((len(corners), 3, 2)))
+    rows = []
+    for part in parts:
+        uvs = _uvs(contents, part, slot)
+        _check_finite(part, uvs, f"the {slot} coordinate of vertex")
+        rows.append(np.zeros((len(part.positions), 2)) if uvs is None else uvs)
+    return Layer(tuple(choice.images), image_of[materials], np.concatenate(rows)[corners])
+
+
+def _uvs(contents: Contents, part: Part, slot: Slot) -> Float64[Any, "V 2"] | None:
+    return part.uvs if slot == "base_color" else contents.slot_uvs(part, slot)
+
+
+def _colors(part: Part, material: Material) -> Any:
+    if part.colors is not None:
+        return part.colors
+    return np.tile(np.array(material.color, np.float32), (len(part.positions), 1))
+
+
+def _paint(material: Material, index: int, choices: dict[Slot, Choice]) -> Paint:
+    """Alpha counts where the material says so: a picture's own alpha may be anything that was left there."""
+    images: dict[Slot, int] = {
+        slot: choice.image_of[index] for slot, choice in choices.items() if index in choice.image_of
+    }
+    base = choices["base_color"].textures[images["base_color"]] if "base_color" in images else None
+    alpha = base.alpha if base and material.opacity_image == base.name else None
+    mode = "OPAQUE" if alpha is None else "MASK" if np.isin(alpha, (0, 255)).all() else "BLEND"
+    mode = "BLEND" if material.opacity < 1 else mode
+    return Paint(material.name, images, material.color, material.opacity, mode)
+
+
+def _check_measures(mesh: TexturedMesh) -> None:
+    """The surface has an area, and shows each texel so often at most that it can be painted."""
+    if not face_areas(mesh.vertices, mesh.faces).max() > 0:
+        raise ValueError("every face has zero area; export it again, or scale it up")
+    tiles = max(np.abs(uv_areas(mesh, slot)).sum() for slot in mesh.maps)
+    if tiles > MOST_TILES:
+        raise ValueError(
+            f"the surface covers its textures {tiles:.0f} times, more than {MOST_TILES:.0f}; unwrap it anew"
+        )
+
+
+def _digest(mesh: TexturedMesh) -> str:
+    """The content of the mesh: what prepared tables and runs depend on, wherever the file lies."""
+    digest = hashlib.sha256()
+
+    def add(*arrays: np.ndarray) -> None:
+        for array in arrays:
+            digest.update(f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+
+    add(mesh.vertices, mesh.faces, mesh.corner_uvs, mesh.face_textures, *mesh.textures, mesh.corner_colors)
+    for slot in sorted(mesh.maps.keys() - {"base_color"}):
+        digest.update(slot.encode())
+        add(mesh.maps[slot].corner_uvs, mesh.maps[slot].face_images, *mesh.maps[slot].images)
+    return digest.hexdigest()
+
+
+def _report(
+    path: Path,
+    format: str,
+    contents: Contents,
+    parts: Sequence[Part],
+    mesh: TexturedMesh,
+    textures: Sequence[Texture],
+    fixed: Repaired,
+) -> Report:
+    outside = ((mesh.corner_uvs < 0) | (mesh.corner_uvs > 1)).any((1, 2))
+    painted = ~np.array([t.flat for t in textures] or [True])[mesh.face_textures]
+    return Report(
+        path=str(path),
+        format=format or path.suffix[1:].upper(),
+        parts=len(parts),
+        materials=len({part.material for part in parts}),
+        vertices_read=sum(len(part.positions) for part in parts),
+        faces_read=sum(len(part.faces) for part in parts),
+        polygons=contents.polygons,
+        **fixed.repairs._asdict(),
+        vertices=len(mesh.vertices),
+        faces=len(mesh.faces),
+        **fixed.shape._asdict(),
+        flat_uv_faces=int((painted & (np.abs(uv_areas(mesh)) <= 1e-14)).sum()),
+        outside_uv_faces=int((painted & outside).sum()),
+        color_source="texture" if textures else "vertex colours",
+        textures=tuple(map(_in_words, textures, mesh.textures)),
+        missing_images=contents.missing_images,
+        ignored_options=contents.ignored_options,
+        found_images=contents.found_images,
+        unread=contents.unread,
+    )
+
+
+def _in_words(texture: Texture, image: UInt[Any, "H W 3"]) -> str:
+    was = " (flat)" if texture.flat else f", made from {texture.made_from}" * bool(texture.made_from)
+    return f"{texture.name}: {image.shape[1]} × {image.shape[0]}{was}"
