@@ -15,10 +15,10 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 
 from tyro.extras import SubcommandApp
 
+from flx import __version__
 from flx.commands import train
 from flx.commands.bench import Bench
 from flx.commands.doctor import Doctor
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(__doc__)
         return 0 if words else 2
     if words[0] == "--version":
-        print(f"flx {version('flx')}")
+        print(f"flx {__version__}")
         return 0
     if words[0] not in ("train", *COMMANDS) and not words[0].startswith("--tyro"):
         names = ", ".join(["train", *COMMANDS])

@@ -45,11 +45,10 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
     from flx.evaluation.lpips import HINT, installed_judges
     from flx.evaluation.timings import peak_bytes
     from flx.files import write_atomically
-    from flx.geometry.atlas import with_filled_gutters
-    from flx.geometry.copies import make_copy
     from flx.geometry.seams import seam_ratio
     from flx.pipeline.canvas import bake, check_size, open_canvas, shown, side_by_side
     from flx.pipeline.codec import load_codec
+    from flx.pipeline.copies import triangulate
 
     check_size(options.texture_size)
     surface = Surface(vertices=options.vertices, seed=options.seed)
@@ -60,8 +59,7 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
     file = out / f"reconstruction.{options.format}"
     check_output(asset, options.format, [file], [out / "side_by_side.png"])
     codec = load_codec(options.weights)
-    mesh = with_filled_gutters(asset.mesh)
-    copy = make_copy(mesh, surface.vertices, codec.config.samples, surface.slots, surface.seed)
+    copy = triangulate(asset, surface.vertices, surface.seed, codec.config.samples, surface.slots)
     asset = prepared_for(asset, options.format)
     canvas = open_canvas(asset, copy.triangulation, options.texture_size)
     baked = bake(canvas, codec, codec.encode(copy.rings))

@@ -15,7 +15,18 @@ if TYPE_CHECKING:
 
 
 def learn(experiment: Experiment, root: Path = Path("runs")) -> "Run":
-    """Train what the experiment describes, from where it was left; return its run folder under `root`."""
+    """Train what the experiment describes, from where it was left; return its run.
+
+    Args:
+        experiment: An `FLDMExperiment` (one mesh) or an `FLVAEExperiment` (a folder of images).
+        root: The folder of runs; the run's own is named after the experiment.
+
+    Raises ValueError for an experiment that cannot be trained, and where a run of that name is another one.
+
+    Example:
+        run = flx.train(flx.quick("bowl.glb", name="bowl"))
+        generator = flx.load_generator(run.folder)
+    """
     if isinstance(experiment, FLVAEExperiment):
         from flx.training.flvae import learn_flvae
 

@@ -1,17 +1,18 @@
 """From latents to an asset: colours decoded wherever the asset shows them, in files and in pictures."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Int32, UInt8
+from PIL import Image
 
 from flx.assets.asset import Asset, Painting, own_painting
 from flx.assets.formats.files import limit
+from flx.geometry import render
 from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
 from flx.geometry.color import quantized, resized
-from flx.geometry.copies import queries_at
-from flx.geometry.render import contact_sheet, look, show
+from flx.geometry.copies import Copy, queries_at
 from flx.geometry.sampling import transfer
 from flx.geometry.tangent import tangent_frames
 from flx.pipeline.codec import Codec
@@ -87,6 +88,38 @@ def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Painting:
     return painted(canvas, map(codec.decoder(z), chunks(canvas)))
 
 
+def paint(
+    asset: Asset,
+    copy: Copy,
+    codec: Codec,
+    latents: Complex64[Any, "V D"],
+    texture_size: int | None = None,
+) -> Painting:
+    """New textures on the asset's own UVs (or colours at its vertices), decoded from codes.
+
+    Args:
+        asset: The mesh file to paint; it is not changed.
+        copy: The triangulation that carries the codes, from `flx.triangulate` or `generator.home`.
+        codec: The FL-VAE.
+        latents: A code at each vertex of the copy, [V, D] complex64: `codec.encode(copy.rings)` for what is
+            there, `generator.sample(key)` for something new.
+        texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
+
+    Raises ValueError for a size that is too small or too large, and where a vertex has no code.
+
+    Example:
+        painting = flx.paint(asset, copy, codec, codec.encode(copy.rings))
+        flx.save(asset, painting, "back.glb")
+    """
+    check_size(texture_size)
+    if np.shape(latents) != (vertices := len(copy.triangulation.vertices), codec.config.latents):
+        raise ValueError(
+            f"latents have shape {list(np.shape(latents))}; give [{vertices}, {codec.config.latents}]: "
+            "a code for each vertex of the copy"
+        )
+    return bake(open_canvas(asset, copy.triangulation, texture_size), codec, latents)
+
+
 def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Painting:
     """Colours of the canvas' `chunks` as images with filled gutters, or as colours of vertices."""
     asset = canvas.asset
@@ -126,14 +159,30 @@ def shown(asset: Asset, painting: Painting) -> TexturedMesh:
     return mesh if asset.textures else mesh._replace(corner_colors=painting.colors[asset.corner_vertices])
 
 
+def show(asset: Asset, *paintings: Painting, up: Literal["y", "z"] = "y", size: int = 384) -> Image.Image:
+    """A picture of the asset and of each painting of it, side by side, from two sides.
+
+    Args:
+        asset: The mesh file.
+        paintings: New textures of it, from `flx.paint` or `flx.generate`.
+        up: The axis that points up.
+        size: Pixels of one view.
+
+    Example:
+        flx.show(asset, *flx.generate(generator, count=3))
+    """
+    names = [f"{n}" for n in range(len(paintings))]
+    return Image.fromarray(side_by_side(asset, paintings, names, up, size))
+
+
 def side_by_side(
     asset: Asset, paintings: Sequence[Painting], captions: Sequence[str], up: str, size: int = 384
 ) -> UInt8[Any, "_ _ 3"]:
     """Renders of the input and of each new texture in columns, a view in each row."""
     meshes = [asset.mesh, *(shown(asset, painting) for painting in paintings)]
-    views = [look(asset.mesh, a, e, size, up) for a, e in VIEWS]  # pyright: ignore
-    rows = [[show(view, mesh) for mesh in meshes] for view in views]
-    return contact_sheet(rows, ["input", *captions])
+    views = [render.look(asset.mesh, a, e, size, up) for a, e in VIEWS]  # pyright: ignore
+    rows = [[render.show(view, mesh) for mesh in meshes] for view in views]
+    return render.contact_sheet(rows, ["input", *captions])
 
 
 def _vertex_points(asset: Asset) -> tuple[np.ndarray, SurfacePoints]:

@@ -24,6 +24,27 @@ from flx.types import MeshTables, OneRings, Pooling, TexturedMesh, Triangulation
 MOST_WORKERS = 8  # a worker holds the mesh and its textures
 
 
+def triangulate(
+    asset: Asset, vertices: int = 5000, seed: int = 0, samples: int = 64, slots: int = 16
+) -> copies.Copy:
+    """A random triangulation of the asset's surface, its gather tables, and colours in its one-rings.
+
+    Args:
+        asset: A mesh file from `flx.load`, or another asset.
+        vertices: Exactly so many; details smaller than a one-ring are lost.
+        seed: Another triangulation for every seed. Same seed, same machine: same bits.
+        samples: Colours in each one-ring; 64 for the released FL-VAE.
+        slots: The most neighbours of a vertex, itself included.
+
+    Raises ValueError where the surface has no triangulation of so few vertices.
+
+    Example:
+        copy = flx.triangulate(asset, vertices=5000)
+        latents = flx.load_codec().encode(copy.rings)  # [5000, 8], complex
+    """
+    return copies.make_copy(with_filled_gutters(asset.mesh), vertices, samples, slots, seed)
+
+
 class Prepared(NamedTuple):
     """A copy as training and sampling see it."""
 

@@ -126,8 +126,17 @@ def generate(
 ) -> Iterator[Painting]:
     """New textures of the asset that the generator learnt from, one after another.
 
-    Variation n depends on the seed and n alone. `asset`: the same asset, where it was given an atlas.
-    `texture_size`: pixels on the longer side; the input's, at most 2048, unless given.
+    Args:
+        generator: From `flx.load_generator`.
+        count: How many.
+        seed: Variation n depends on the seed and n alone.
+        steps, sampler: See `Generator.sample`.
+        texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
+        asset: The same asset with an atlas of its own, where it came without one.
+
+    Example:
+        for n, painting in enumerate(flx.generate(generator, count=4)):
+            flx.save(generator.asset, painting, f"variation_{n}.glb")
     """
     canvas = open_canvas(asset or generator.asset, generator.home.triangulation, texture_size)
     for n in range(count):
