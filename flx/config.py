@@ -127,7 +127,7 @@ class Train:
     optimizer: Literal["adam", "muon"] = "adam"  # the paper's; ours for short trainings
     learning_rate: float = 1e-3  # cosine to `final_learning_rate`
     final_learning_rate: float = 1e-5
-    warmup: int = 0  # steps
+    warmup: int = 0  # steps; at most half of all
     clip: float = 0.0  # largest norm of the gradient; 0: no limit
     ema: float = 0.999
     checkpoint_every: int = 1000

@@ -198,7 +198,7 @@ def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampl
 
 def test_a_mesh_needs_no_config(trained):
     """The demo's settings, the run named after the file; every field is an option all the same."""
-    few = ["--train.steps", "2", "--train.warmup", "0", "--surface.vertices", "300", "--surface.copies", "1"]
+    few = ["--train.steps", "2", "--surface.vertices", "300", "--surface.copies", "1"]
     arguments = ["train", "vase.glb", *few, "--model.channels", "4"]
     assert flx(*arguments, cwd=trained).stdout.strip() == "runs/vase"
     config = json.loads((trained / "runs" / "vase" / "config.json").read_bytes())["config"]

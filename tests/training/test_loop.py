@@ -231,9 +231,9 @@ def test_the_average_is_its_closed_form():
 
 @given(st.integers(2, 500), st.integers(0, 400), st.floats(1e-4, 1.0), st.floats(0.0, 1.0))
 def test_the_learning_rate_warms_up_and_follows_a_cosine(steps, warmup, peak, share):
-    warmup = min(warmup, steps - 1)
     c = Train(steps=steps, warmup=warmup, learning_rate=peak, final_learning_rate=share * peak)
     rates = np.array(jax.vmap(lambda n: learning_rate(c, n))(jnp.arange(steps)))
+    warmup = min(warmup, steps // 2)  # a short run of a long run's config still gets to its rate
     np.testing.assert_allclose(rates[:warmup], peak * np.arange(warmup) / max(warmup, 1), rtol=1e-5)
     np.testing.assert_allclose(rates[warmup], peak, rtol=1e-5)
     n = steps - warmup
@@ -290,7 +290,7 @@ def test_steps_draw_from_their_own_key():
     "change, told",
     [
         (dict(steps=0), "train.steps is 0"),
-        (dict(warmup=12), r"train.warmup is 12; .*\(12\)"),
+        (dict(warmup=-1), "train.warmup is -1"),
         (dict(ema=1.0), "train.ema is 1.0"),
         (dict(learning_rate=-1.0), "train.learning_rate is -1.0"),
     ],
