@@ -1,34 +1,24 @@
 """`flx doctor`: what is in a mesh file, what a planned run meets on it, and a verdict.
 
 A mesh that cannot be used never comes here: `read_asset` refuses it, and that line is the verdict.
-
-The costs are estimates, within a factor of two on two CPU cores like those they were measured on (AMD EPYC
-without AMX; `experiments/demo.py` at 5,000 vertices, `experiments/bowl.py` at 10,000, and `flx bench`).
 """
 
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 from tyro.conf import Positional
 
 from flx.assets.asset import Asset, Report
 from flx.assets.inspect import coverage, inside_out_components, ring_pixels
 from flx.assets.read import read_asset
-from flx.config import FLDM, FLDMExperiment, Train, read_config
+from flx.config import FLDMExperiment, quick, read_config
 from flx.geometry.atlas import uv_areas
-from flx.models.denoiser.depth import blocks_for
+from flx.training.costs import Costs, costs_of
 
 RING_PIXELS = (7.0, 450.0)  # in one-rings that the FL-VAE was trained on: 1.5 to 12 pixels from the vertex
-COPY_SECONDS = 1.6e-4  # for each vertex of a copy: remeshing, tables, colours, two copies at once
-COPY_BYTES = 600  # on disk, for each vertex of a copy: tables and latents
-# For each vertex, channel, block and copy of a training step, by network.
-STEP_SECONDS = {"vectors": 5.0e-7, "mixed": 2.7e-7}
-STEP_BYTES = 900  # for each of the same
-BASE_BYTES = 600e6  # JAX, and the mesh
 
 
 @dataclass(frozen=True)
@@ -40,14 +30,16 @@ class Doctor:
 
     mesh: Positional[Path]  # a .glb, .gltf, .obj or .ply file
     texture: Path | None = None  # an image to use instead of the file's own
-    config: Path | None = None  # the run that is planned, as for `flx train`; the paper's unless given
-    vertices: int | None = None  # of the planned run; the config's unless given
+    config: Path | None = None  # plan this config's run; without it, that of `flx train MESH`
+    vertices: int | None = None  # plan a run with so many vertices
     json: bool = False  # print one JSON object
 
     def __call__(self) -> None:
-        plan = FLDMExperiment() if self.config is None else read_config(self.config)
+        plan = quick() if self.config is None else read_config(self.config)
         if not isinstance(plan, FLDMExperiment):
-            raise ValueError(f"{self.config} trains no mesh; give a config such as experiments/demo.py")
+            raise ValueError(
+                f"{self.config} does not train on a mesh; give a config such as experiments/demo.py"
+            )
         if self.vertices is not None:
             plan = replace(plan, surface=replace(plan.surface, vertices=self.vertices))
         try:
@@ -61,22 +53,6 @@ class Doctor:
         print(json.dumps(record, indent=2) if self.json else describe(asset.report, findings))
 
 
-class Plan(NamedTuple):
-    """A training run: how large, and what it will take."""
-
-    papers: bool  # the paper's own model and training
-    vertices: int
-    copies: int
-    steps: int
-    batch: int
-    ring_pixels: tuple[float, float, float] | None  # in a one-ring: 5th percentile, median and 95th by area
-    copy_seconds: float  # of all copies, on two cores like all that follows
-    disk_bytes: float
-    step_seconds: float
-    train_seconds: float
-    train_bytes: float
-
-
 class Findings(NamedTuple):
     """What is right or wrong with a mesh that can be used. Plain numbers and words, for JSON."""
 
@@ -84,7 +60,8 @@ class Findings(NamedTuple):
     mirrored_uv_faces: int  # seen from behind on their texture; both ways is common, and harmless
     covered_texels: float  # share of the textures that the surface shows
     overlapping_texels: float  # share of these that it shows more than once
-    plan: Plan
+    ring_pixels: tuple[float, float, float] | None  # in a one-ring: 5th percentile, median and 95th by area
+    plan: Costs
     warnings: tuple[str, ...]
     verdict: str
 
@@ -93,69 +70,61 @@ def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
     """What reading the asset did not need to know, for a run of `experiment` on it."""
     covered, overlapping = coverage(asset)
     flat = np.array([texture.flat for texture in asset.textures] or [True])[asset.mesh.face_textures]
-    plan = _plan(asset, ~flat, experiment)
+    pixels = ring_pixels(asset, ~flat, experiment.surface.vertices)
     inside_out = inside_out_components(asset)
-    warnings = _warnings(asset.report, plan, overlapping, inside_out)
+    warnings = _warnings(asset.report, experiment.surface.vertices, pixels, overlapping, inside_out)
     return Findings(
         inside_out_components=inside_out,
         mirrored_uv_faces=int(((uv_areas(asset.mesh) < 0) & ~flat).sum()),
         covered_texels=covered,
         overlapping_texels=overlapping,
-        plan=plan,
+        ring_pixels=pixels,
+        plan=costs_of(experiment),
         warnings=warnings,
         verdict=_verdict(asset.report, len(warnings)),
     )
 
 
-def _plan(asset: Asset, painted: Bool[Any, "F"], experiment: FLDMExperiment) -> Plan:
-    surface, train, model = experiment.surface, experiment.train, experiment.model
-    blocks = sum(model.blocks or blocks_for(surface.vertices))
-    work = float(surface.vertices) * model.channels * blocks * train.batch
-    return Plan(
-        papers=(model, train) == (FLDM(), Train()),
-        vertices=surface.vertices,
-        copies=surface.copies,
-        steps=train.steps,
-        batch=train.batch,
-        ring_pixels=ring_pixels(asset, painted, surface.vertices),
-        copy_seconds=COPY_SECONDS * surface.vertices * surface.copies,
-        disk_bytes=float(COPY_BYTES) * surface.vertices * surface.copies,
-        step_seconds=STEP_SECONDS[model.network or "mixed"] * work,
-        train_seconds=STEP_SECONDS[model.network or "mixed"] * work * train.steps,
-        train_bytes=BASE_BYTES + STEP_BYTES * work,
-    )
-
-
-def _warnings(report: Report, plan: Plan, overlapping: float, inside_out: int) -> tuple[str, ...]:
-    found = []
+def _warnings(
+    report: Report,
+    vertices: int,
+    pixels: tuple[float, float, float] | None,
+    overlapping: float,
+    inside_out: int,
+) -> tuple[str, ...]:
+    few, many = RING_PIXELS
+    warnings = []
     if overlapping > 0.01:
-        found.append(f"{overlapping:.1%} of the texels shown are shown more than once: they get one colour")
-    if report.flat_uv_faces:
-        found.append(f"{report.flat_uv_faces:,} faces have no area on the texture: their colour stays a line")
-    if inside_out:
-        found.append(
-            f"{inside_out:,} components are inside out: turn their faces round, pictures show the far side"
+        warnings.append(
+            f"{overlapping:.1%} of the texels are shown more than once: those places share a colour"
         )
-    if plan.ring_pixels is not None and plan.ring_pixels[1] < RING_PIXELS[0]:
-        found.append(f"{plan.ring_pixels[1]:.0f} pixels in a one-ring: fewer vertices carry the same texture")
-    if plan.ring_pixels is not None and plan.ring_pixels[1] > RING_PIXELS[1]:
-        found.append(f"{plan.ring_pixels[1]:,.0f} pixels in a one-ring: details are lost, take more vertices")
-    if 20 * report.components > plan.vertices:
-        found.append(f"{report.components:,} components for {plan.vertices:,} vertices: take more vertices")
-    return tuple(found)
+    if report.flat_uv_faces:
+        warnings.append(f"{report.flat_uv_faces:,} faces have no area on the texture: they show as a streak")
+    if inside_out:
+        warnings.append(f"{inside_out:,} components are inside out; flip their faces")
+    if pixels and pixels[1] < few:
+        warnings.append(
+            f"only {pixels[1]:.0f} texture pixels in a one-ring: the texture is coarser than the mesh; fewer "
+            "vertices would give the same result"
+        )
+    if pixels and pixels[1] > many:
+        warnings.append(f"{pixels[1]:,.0f} texture pixels in a one-ring: details are lost; use more vertices")
+    if 20 * report.components > vertices:
+        warnings.append(f"{report.components:,} components for {vertices:,} vertices; use more vertices")
+    return tuple(warnings)
 
 
 def _verdict(report: Report, warnings: int) -> str:
     dropped = report.degenerate_faces + report.ear_faces + report.duplicate_faces
     cut = report.nonmanifold_edges + report.disagreeing_edges + report.nonmanifold_vertices
-    done = [
+    repairs = [
         f"{report.welded_vertices:,} vertices welded" if report.welded_vertices else "",
         f"{dropped:,} faces dropped" if dropped else "",
         f"{cut:,} edges and vertices cut" if cut else "",
     ]
-    how = ", ".join(part for part in done if part) or "as it is"
-    told = {0: "", 1: "; mind the warning"}.get(warnings, "; mind the warnings")
-    return f"flx takes it ({how}){told}"
+    how = ", ".join(part for part in repairs if part) or "as it is"
+    mind = {0: "", 1: "; mind the warning"}.get(warnings, "; mind the warnings")
+    return f"flx takes it ({how}){mind}"
 
 
 # --- as text
@@ -201,20 +170,20 @@ def describe(report: Report, findings: Findings | None = None) -> str:
 def _describe_findings(findings: Findings) -> list[tuple[str, str]]:
     plan, lines = findings.plan, []
     if findings.covered_texels:
-        told = (
-            f"{findings.covered_texels:.0%} shown, {findings.overlapping_texels:.1%} of that more than once"
-        )
-        lines.append(("texels", told))
-    if plan.ring_pixels is not None:
-        low, median, high = plan.ring_pixels
-        told = f"{median:,.0f} (5 %: {low:,.0f}, 95 %: {high:,.0f}) at {plan.vertices:,} vertices"
-        lines.append(("pixels in a one-ring", told))
-    told = f"{plan.copies:,} copies, {plan.steps:,} steps of {plan.batch}, {plan.vertices:,} vertices"
-    lines.append(("planned run", f"the paper's; say --config for yours: {told}" if plan.papers else told))
-    told = f"{_time(plan.copy_seconds)} for the copies, {_time(plan.train_seconds)} to train"
-    lines.append(("its time on two CPU cores, about", told))
-    told = f"{plan.train_bytes / 1e9:,.1f} GB of memory, {plan.disk_bytes / 1e9:,.1f} GB on disk"
-    lines.append(("its size, about", told))
+        repeated = f"{findings.overlapping_texels:.1%} of that more than once"
+        lines.append(("texels", f"{findings.covered_texels:.0%} shown, {repeated}"))
+    if findings.ring_pixels is not None:
+        low, median, high = findings.ring_pixels
+        spread = f"{median:,.0f} (5 %: {low:,.0f}, 95 %: {high:,.0f}) at {plan.vertices:,} vertices"
+        lines.append(("pixels in a one-ring", spread))
+    size = f"{plan.copies:,} copies, {plan.steps:,} steps of {plan.batch}, {plan.vertices:,} vertices"
+    duration = f"{_time(plan.copy_seconds)} for the copies, {_time(plan.train_seconds)} to train"
+    room = f"{plan.train_bytes / 1e9:,.1f} GB of memory, {plan.disk_bytes / 1e9:,.1f} GB on disk"
+    lines += [
+        ("planned run", size),
+        ("its time on two CPU cores, about", duration),
+        ("its size, about", room),
+    ]
     return [*lines, *(("warning", text) for text in findings.warnings), ("verdict", findings.verdict)]
 
 

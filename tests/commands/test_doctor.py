@@ -55,9 +55,9 @@ def test_texels_shown_twice_are_counted_also_across_repetitions(tmp_path, shift,
 def test_pixels_in_a_one_ring_are_three_shares_of_those_the_surface_has(tmp_path):
     asset = square(tmp_path, 0.5)
     pixels = 64 * 64 * 0.5
-    assert examined(asset).plan.ring_pixels == pytest.approx([3 * pixels / 5000] * 3)
+    assert examined(asset).ring_pixels == pytest.approx([3 * pixels / 5000] * 3)
     few = FLDMExperiment(surface=Surface(vertices=500))
-    assert examined(asset, few).plan.ring_pixels == pytest.approx([3 * pixels / 500] * 3)
+    assert examined(asset, few).ring_pixels == pytest.approx([3 * pixels / 500] * 3)
     assert any("fewer vertices" in text for text in examined(asset).warnings)
 
 
