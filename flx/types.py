@@ -16,11 +16,12 @@ Arrays are NumPy or JAX, hence `Any`; importing this module loads neither jax no
 """
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from jaxtyping import Complex64, Float32, Float64, Int, Int32, UInt
 
 Slot = Literal["base_color", "normal", "metallic_roughness", "occlusion", "emissive"]  # as glTF means them
+SLOTS: tuple[Slot, ...] = get_args(Slot)
 
 
 class Layer(NamedTuple):

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float64, Int
+from jaxtyping import Float64, Int, Num
 from numpy.typing import ArrayLike
 from PIL import Image
 
@@ -46,7 +46,9 @@ def from_arrays(
         raise ValueError(
             f"faces[{face}] is {triangles[face].tolist()}, but there are {len(points)} vertices, from 0"
         )
-    tint = None if colors is None else _colors(colors, "colors", (len(points), -1)).astype(np.float32)
+    tint = None if colors is None else _colors(colors, "colors", (len(points), -1))
+    if tint is not None:
+        tint = (tint / (255 if tint.dtype == np.uint8 else 1)).astype(np.float32)[:, :3]
     picture = None if image is None else _colors(image, "image", (None, None, -1))
     if (picture is None) != (uvs is None) or (picture is None and tint is None):
         raise ValueError("give an image together with uvs, or colors")
@@ -58,11 +60,11 @@ def from_arrays(
         _check_rows(coordinates, "uvs")
         if per_corner:
             rows, coordinates, corners = split_corners(triangles, coordinates)
-    content = None if picture is None else quantized(picture)
+    content = quantized(picture) if picture is not None and picture.dtype != np.uint8 else picture
     white = Material("material", (1.0, 1.0, 1.0), None if content is None else IMAGE)
     if content is not None and content.shape[2] == 4:
         white = white._replace(opacity_image=IMAGE)
-    part = Part(name, 0, points[rows], None, coordinates, None if tint is None else tint[rows, :3], corners)
+    part = Part(name, 0, points[rows], None, coordinates, None if tint is None else tint[rows], corners)
     with faults_of(Path(name)):
         contents = Contents([part], [white], lambda _: content, "", None, ())  # pyright: ignore
         return assemble(Path(name), contents, format="arrays")
@@ -82,16 +84,15 @@ def _numbers(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Flo
     try:
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError) as fault:
-        raise ValueError(
-            f"{what} is no array of numbers ({fault}); give one of shape {_words(shape)}"
-        ) from None
-    alike = array.ndim == len(shape) and all(
-        side in ((3, 4) if wanted == -1 else (side if wanted is None else wanted,))
-        for side, wanted in zip(array.shape, shape, strict=False)
-    )
-    if not alike:
-        raise ValueError(f"{what} has shape {list(array.shape)}; give {_words(shape)}")
+        raise ValueError(f"{what} is no array of numbers ({fault}); give {_words(shape)}") from None
+    _check_shape(array, what, shape)
     return array
+
+
+def _check_shape(array: Num[Any, "..."], what: str, shape: tuple[int | None, ...]) -> None:
+    sides = [{None: range(1 << 62), -1: (3, 4)}.get(side, (side,)) for side in shape]
+    if array.ndim != len(shape) or any(n not in side for n, side in zip(array.shape, sides, strict=True)):
+        raise ValueError(f"{what} has shape {list(array.shape)}; give {_words(shape)}")
 
 
 def _words(shape: tuple[int | None, ...]) -> str:
@@ -114,15 +115,18 @@ def _check_rows(rows: Float64[Any, "..."], what: str) -> None:
         raise ValueError(f"{what}[{row}] is {rows[row].tolist()}; give finite numbers below {FARTHEST:g}")
 
 
-def _colors(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Float64[Any, "..."]:
-    """In [0, 1], of uint8 or of numbers."""
-    given = np.asarray(values)
-    numbers = _numbers(given, what, shape) / (255 if given.dtype == np.uint8 else 1)
-    if not numbers.size:
-        raise ValueError(f"{what} has shape {list(numbers.shape)}; give at least one pixel")
-    if not (np.abs(numbers - 0.5) <= 0.5).all():
-        worst = numbers.ravel()[np.abs(np.nan_to_num(numbers.ravel(), nan=np.inf) - 0.5).argmax()]
-        raise ValueError(f"{what} has the value {worst:g}; give uint8, or numbers from 0 to 1")
+def _colors(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Num[Any, "..."]:
+    """uint8 as it is, or numbers in [0, 1]."""
+    given = np.asarray(values) if isinstance(values, np.ndarray) else _numbers(values, what, shape)
+    _check_shape(given, what, shape)
+    if not given.size:
+        raise ValueError(f"{what} has shape {list(given.shape)}; give at least one pixel")
+    if given.dtype == np.uint8:
+        return given
+    numbers = given.astype(np.float64)
+    wrong = ~(np.abs(numbers - 0.5) <= 0.5)
+    if wrong.any():
+        raise ValueError(f"{what} has the value {numbers[wrong][0]:g}; give uint8, or numbers from 0 to 1")
     return numbers
 
 

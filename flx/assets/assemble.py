@@ -195,7 +195,7 @@ def _decoded(
     for name in names:
         content, kind = encoded[name], ""
         if not isinstance(content, bytes):
-            image, alpha = content[..., :3], content[..., 3] if content.shape[2] == 4 else None
+            image, alpha = content[..., :3].copy(), content[..., 3] if content.shape[2] == 4 else None
             alpha = None if alpha is None or (alpha == 255).all() else alpha
         elif slot == "base_color":
             (image, alpha), kind = decode_image(content, name), original_kind(content, name)

@@ -1,21 +1,56 @@
-"""What only a closer look at an asset shows: overlapping charts, parts inside out, pixels in a one-ring."""
+"""What a closer look at an asset shows: other maps, overlapping charts, parts inside out, pixels a ring."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int
 
 from flx.assets.asset import Asset
+from flx.assets.formats import gltf
+from flx.assets.formats.files import BadFile
+from flx.assets.formats.gltf import Gltf
+from flx.assets.formats.images import bits_of, open_image
+from flx.assets.formats.readers import load_beside
 from flx.geometry.atlas import uv_areas
 from flx.geometry.raster import barycentric_planes, pixels_inside
 from flx.geometry.sampling import face_areas
 from flx.geometry.topology import edges_of, pieces
+from flx.types import Slot
 
 RASTER = 1024  # pixels on the longer side on which texels are counted
 
 MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, its repetitions counted
 
 WITHIN = 1e-6  # least barycentric of a pixel that is one face's own: neighbours share those on their edge
+
+
+class OtherMap(NamedTuple):
+    """An image that a file has besides base colours. 0 × 0: it is not there, or cannot be read."""
+
+    slot: Slot
+    name: str
+    width: int
+    height: int
+    bits: int  # a channel
+
+
+def other_maps(asset: Asset) -> list[OtherMap]:
+    """The maps of other slots that the file has, whether they were read or not; none is decoded."""
+    maps: list[OtherMap] = []
+    pairs: list[tuple[Slot, str]] = [
+        (slot, name) for slot, names in asset.map_names.items() for name in names
+    ]
+    for slot, name in pairs:
+        try:
+            if isinstance(asset.container, Gltf):
+                content = gltf.image_bytes(asset.container, int(name.rpartition("#")[2]))
+            else:
+                content = load_beside(asset.path.parent, name)
+            image = open_image(content, name)
+            maps.append(OtherMap(slot, name, image.width, image.height, bits_of(image)))
+        except (BadFile, OSError):
+            maps.append(OtherMap(slot, name, 0, 0, 0))
+    return maps
 
 
 def coverage(asset: Asset) -> tuple[float, float]:

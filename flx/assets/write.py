@@ -59,7 +59,7 @@ def _check_painting(asset: Asset, painting: Painting, path: Path) -> None:
     others = ", ".join(slot for slot in painting.maps if slot != "base_color")
     if others and path.suffix in (".obj", ".ply"):
         format = path.suffix[1:].upper()
-        raise ValueError(f"{path.name}: flx cannot write {others} maps into an {format}; write a GLB")
+        raise ValueError(f"{path.name}: flx cannot write {others} maps as {format}; write a GLB")
     if path.suffix == ".ply" and asset.textures:
         raise ValueError(f"{asset.path} has textures, a PLY has colours of vertices; write a GLB or OBJ")
     if asset.textures:

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Num, UInt, UInt8
+from jaxtyping import Float, Float64, Num, UInt, UInt8
 from numpy.typing import DTypeLike
 from PIL import Image
 
@@ -20,7 +20,7 @@ def linear(color: Num[Any, "..."]) -> Float64[Any, "..."]:
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
-def quantized(colors: Float32[Any, "P 3"], dtype: DTypeLike = np.uint8) -> UInt[Any, "P 3"]:
+def quantized(colors: Float[Any, "*N"], dtype: DTypeLike = np.uint8) -> UInt[Any, "*N"]:
     """Colours as a texture of 8 or 16 bits holds them: clipped to [0, 1]."""
     return np.rint(np.clip(colors, 0, 1) * np.iinfo(dtype).max).astype(dtype)
 

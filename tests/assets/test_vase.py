@@ -1,16 +1,22 @@
 """The vase is a good asset: closed, unwrapped without overlap, and painted without seams."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from flx.assets.asset import own_painting
+from flx.assets.read import read_asset
 from flx.assets.vase import vase, vase_asset
 from flx.assets.write import write
+from flx.config import Surface
 from flx.geometry.atlas import atlas_texels
 from flx.geometry.sampling import face_normals, texture_colors
+from flx.training.run import Run
+from flx.training.run_asset import keep, read_source
 from flx.types import TexturedMesh
 
 
@@ -116,3 +122,40 @@ def test_the_file_holds_the_same_vase(mesh, tmp_path):
     welded = trimesh.Trimesh(body.vertices, body.faces)
     welded.merge_vertices(merge_tex=True, merge_norm=True)
     assert welded.is_watertight
+
+
+def exported_by_trimesh(mesh: TexturedMesh, path: Path) -> Path:
+    """The vase as it used to be made: trimesh writes it, and it is read from there."""
+    corners = np.concatenate([mesh.faces.reshape(-1, 1), mesh.corner_uvs.reshape(-1, 2)], 1)
+    split, faces = np.unique(corners, axis=0, return_inverse=True)
+    welded = split[:, 0].astype(np.int64)
+    material = trimesh.visual.material.PBRMaterial(
+        name="glaze",
+        baseColorTexture=Image.fromarray(mesh.textures[0]),
+        metallicFactor=0.0,
+        roughnessFactor=0.35,
+    )
+    uv = np.stack([split[:, 1], 1 - split[:, 2]], 1)
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    normals = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).vertex_normals[welded]
+    body = trimesh.Trimesh(
+        mesh.vertices[welded], faces.reshape(-1, 3), vertex_normals=normals, visual=visual, process=False
+    )
+    scene = trimesh.Scene()
+    scene.add_geometry(body, node_name="vase", geom_name="vase")
+    scene.export(str(path), file_type="glb", include_normals=True)
+    return path
+
+
+def test_it_is_the_asset_that_runs_have_known_bit_for_bit(mesh, tmp_path):
+    """Prepared copies and runs are found by its digest, and their copy of it must read back the same."""
+    old, new = read_asset(exported_by_trimesh(mesh, tmp_path / "old.glb")), vase_asset()
+    assert new.digest == old.digest
+    for name in ("positions", "uvs", "faces"):
+        np.testing.assert_array_equal(getattr(new.parts[0], name), getattr(old.parts[0], name))
+    np.testing.assert_allclose(new.parts[0].normals, old.parts[0].normals, atol=1e-7)
+    materials = [asset.container.document["materials"] for asset in (old, new)]
+    assert materials[0] == materials[1]
+    surface, run = Surface(), Run(tmp_path / "run")
+    assert read_source(surface).digest == keep(new, run, surface).digest == old.digest
+    assert not list(tmp_path.glob("run/**/*.obj")) and list(tmp_path.glob("run/**/vase.glb"))

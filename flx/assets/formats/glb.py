@@ -14,13 +14,13 @@ from jaxtyping import Float32, Num
 
 from flx.assets.formats.gltf import (
     IN_PBR,
-    TEXTURE_KEYS,
     WIDTHS,
     Gltf,
     accessor,
     append,
     append_view,
     texture_image,
+    texture_key,
     texture_reference,
 )
 from flx.assets.formats.parts import Paint, Part
@@ -59,7 +59,7 @@ def replace_images(gltf: Gltf, slot: Slot, textures: Mapping[int, int], pngs: Ma
             )
             image = new[number]
             if not reference:
-                reference = _holder(materials[material], slot).setdefault(TEXTURE_KEYS[slot], {})
+                reference = _holder(materials[material], slot).setdefault(texture_key(slot), {})
             reference["index"] = texture
         else:
             _put_image(document, views, image, png)
@@ -213,7 +213,7 @@ def build_gltf(
         material = {"name": paint.name, "pbrMetallicRoughness": pbr, "doubleSided": True}
         for slot, texture in paint.textures.items():
             if (slot, texture) in images:
-                _holder(material, slot)[TEXTURE_KEYS[slot]] = {"index": images[slot, texture]}
+                _holder(material, slot)[texture_key(slot)] = {"index": images[slot, texture]}
                 if slot == "metallic_roughness":
                     pbr["metallicFactor"] = 1.0  # factors multiply the image
                 elif slot == "emissive":

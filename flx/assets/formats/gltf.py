@@ -44,13 +44,6 @@ MIME_TYPES = {
     b"RIF": "image/webp",
     b"\xabKT": "image/ktx2",
 }
-TEXTURE_KEYS: dict[Slot, str] = {
-    "base_color": "baseColorTexture",
-    "normal": "normalTexture",
-    "metallic_roughness": "metallicRoughnessTexture",
-    "occlusion": "occlusionTexture",
-    "emissive": "emissiveTexture",
-}
 IN_PBR = ("base_color", "metallic_roughness")  # slots that lie in pbrMetallicRoughness
 TRIANGLES, STRIP, FAN = 4, 5, 6
 MOST_VALUES = 1 << 22  # of the JSON: an empty list of three bytes becomes a hundred
@@ -265,19 +258,19 @@ def parts(gltf: Gltf) -> list[Part]:
             faces=faces[:, ::-1].copy() if mirrored else faces,
             origin=(node, number),
         )
-        for rows, what in (
-            (part.normals, "normals"),
-            (part.uvs, "texture coordinates"),
-            (part.colors, "colours"),
-        ):
-            if rows is not None and len(rows) != len(points):
-                raise BadFile(
-                    f"{part.name!r} has {len(rows)} {what} for {len(points)} vertices; export it again"
-                )
+        _check_counts(part)
         parts.append(part)
         read += max(len(faces), len(points) // 3)
         check_faces(read)  # a small file can show one mesh very often
     return parts
+
+
+def _check_counts(part: Part) -> None:
+    words = ("normals", "texture coordinates", "colours")
+    for rows, what in zip((part.normals, part.uvs, part.colors), words, strict=True):
+        if rows is not None and len(rows) != len(part.positions):
+            count = f"{len(rows)} {what} for {len(part.positions)} vertices"
+            raise BadFile(f"{part.name!r} has {count}; export it again")
 
 
 def _triangles(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"], int, dict]]:
@@ -344,9 +337,7 @@ def slot_uvs(gltf: Gltf, part: Part, slot: Slot) -> Float64[Any, "V 2"] | None:
     materials = gltf.document.get("materials", [])
     material = materials[part.material] if part.material < len(materials) else {}
     uvs = _uvs(gltf, mesh["primitives"][number]["attributes"], texture_reference(material, slot))
-    if uvs is not None and len(uvs) != len(part.positions):
-        count = f"{len(uvs)} texture coordinates for {len(part.positions)} vertices"
-        raise BadFile(f"{part.name!r} has {count}; export it again")
+    _check_counts(part._replace(uvs=uvs))
     return uvs
 
 
@@ -367,31 +358,18 @@ def _colors(gltf: Gltf, attributes: dict) -> Float32[Any, "V 3"] | None:
     return srgb(_attribute(gltf, attributes, "COLOR_0", (3, 4))[:, :3]).astype(np.float32)
 
 
+def texture_key(slot: Slot) -> str:
+    """What glTF calls the texture of a slot: baseColorTexture."""
+    first, *others = slot.split("_")
+    return first + "".join(map(str.title, others)) + "Texture"
+
+
 def texture_reference(material: dict, slot: Slot = "base_color") -> dict:
     """How a material refers to the texture of a slot; empty where it has none."""
     holder = material.get("pbrMetallicRoughness", {}) if slot in IN_PBR else material
     gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
     diffuse = gloss.get("diffuseTexture") if slot == "base_color" else None
-    return holder.get(TEXTURE_KEYS[slot]) or diffuse or {}
-
-
-def base_color(material: dict) -> tuple[float, float, float]:
-    """The flat colour of a material, in sRGB."""
-    r, g, b = srgb(np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1])[:3]))
-    return float(r), float(g), float(b)
-
-
-def flat_values(material: dict) -> dict[Slot, tuple[float, float, float]]:
-    """What a material has all over in slots other than its base colour; what is no number is left out."""
-    pbr, values = material.get("pbrMetallicRoughness", {}), {}
-    factors = [pbr.get(key, 1) for key in ("roughnessFactor", "metallicFactor")]
-    light = material.get("emissiveFactor", [0, 0, 0])
-    if all(isinstance(x, int | float) for x in factors):
-        values["metallic_roughness"] = (1.0, float(factors[0]), float(factors[1]))
-    if isinstance(light, list) and len(light) == 3 and all(isinstance(x, int | float) for x in light):
-        r, g, b = srgb(np.array(light))
-        values["emissive"] = (float(r), float(g), float(b))
-    return values
+    return holder.get(texture_key(slot)) or diffuse or {}
 
 
 def texture_image(document: dict, texture: int) -> int:

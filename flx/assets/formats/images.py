@@ -37,16 +37,19 @@ def open_image(content: bytes, name: str) -> Image.Image:
     for magic, kind in REFUSED.items():
         if content.startswith(magic):
             raise BadFile(f"image {name!r} is {kind}; save it as PNG or JPEG")
-    Image.MAX_IMAGE_PIXELS = most = limit("FLX_MAX_PIXELS")  # Pillow's own error comes at twice as many
+    most, pillows = limit("FLX_MAX_PIXELS"), Image.MAX_IMAGE_PIXELS
     remedy = "reduce it to 8192 × 8192, or set FLX_MAX_PIXELS"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            Image.MAX_IMAGE_PIXELS = most  # Pillow's own error comes at twice as many
             image = Image.open(io.BytesIO(content), formats=FORMATS)
     except Image.DecompressionBombError as fault:
         raise BadFile(f"image {name!r} has more than {2 * most:,} pixels; {remedy}") from fault
     except (OSError, SyntaxError, ValueError, OverflowError) as fault:
         raise BadFile(f"image {name!r} is of no known kind; save it as PNG or JPEG") from fault
+    finally:
+        Image.MAX_IMAGE_PIXELS = pillows
     if image.width * image.height > most:
         raise BadFile(
             f"image {name!r} has {image.width} × {image.height} pixels, more than {most:,}; {remedy}"

@@ -40,9 +40,6 @@ class Material(NamedTuple):
     maps: Mapping[Slot, str] = {}  # what the file calls the images of other slots
     flat: Mapping[Slot, tuple[float, float, float]] = {}  # of other slots, if not `NEUTRAL`
 
-    def image_of(self, slot: Slot) -> str | None:
-        return self.image if slot == "base_color" else self.maps.get(slot)
-
     def flat_value(self, slot: Slot) -> tuple[float, float, float]:
         """What the material has all over where it has no image, as an image would store it."""
         return self.color if slot == "base_color" else self.flat.get(slot, NEUTRAL[slot])

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from jaxtyping import Float64, UInt8
 
 from flx.assets.formats import gltf
@@ -20,7 +21,8 @@ from flx.assets.formats.obj import parse_obj
 from flx.assets.formats.obj_source import ObjSource, find_maps, read_libraries
 from flx.assets.formats.parts import Material, Part
 from flx.assets.formats.ply import parse_ply
-from flx.types import Slot
+from flx.geometry.color import srgb
+from flx.types import SLOTS, Slot
 
 Picture = UInt8[Any, "H W C"]  # an image that was given as an array: RGB, or RGBA
 
@@ -51,7 +53,7 @@ def gltf_contents(container: Gltf) -> Contents:
     materials = []
     for index, entry in enumerate(document.get("materials", [])):
         names: dict[Slot, str] = {}
-        for slot in gltf.TEXTURE_KEYS:
+        for slot in SLOTS:
             texture = gltf.texture_reference(entry, slot).get("index")
             image = None if texture is None else gltf.texture_image(document, texture)
             if image is not None and image >= 0:
@@ -60,8 +62,8 @@ def gltf_contents(container: Gltf) -> Contents:
                 kinds = ", ".join(document["textures"][texture].get("extensions", {})) or "no image"
                 raise BadFile(f"the texture of material {index} has {kinds[:80]}; save it as PNG or JPEG")
         name, base = entry.get("name", f"material {index}"), names.pop("base_color", None)
-        flat = gltf.flat_values(entry)
-        materials.append(Material(name, gltf.base_color(entry), base, maps=names, flat=flat))
+        flat = _flat_values(entry)
+        materials.append(Material(name, _base_color(entry), base, maps=names, flat=flat))
     materials.append(Material("default", (1.0, 1.0, 1.0), None))
     return Contents(
         parts=gltf.parts(container),
@@ -73,6 +75,25 @@ def gltf_contents(container: Gltf) -> Contents:
         found_images=container.substitutions,
         slot_uvs=partial(gltf.slot_uvs, container),
     )
+
+
+def _base_color(material: dict) -> tuple[float, float, float]:
+    """The flat colour of a material, in sRGB."""
+    r, g, b = srgb(np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1])[:3]))
+    return float(r), float(g), float(b)
+
+
+def _flat_values(material: dict) -> dict[Slot, tuple[float, float, float]]:
+    """What a material has all over in slots other than its base colour; what is no number is left out."""
+    pbr = material.get("pbrMetallicRoughness", {})
+    factors = [1.0, pbr.get("roughnessFactor", 1), pbr.get("metallicFactor", 1)]
+    said: dict[Slot, Any] = {"metallic_roughness": factors, "emissive": material.get("emissiveFactor")}
+    values: dict[Slot, tuple[float, float, float]] = {}
+    for slot, rows in said.items():
+        if isinstance(rows, list) and len(rows) == 3 and all(isinstance(x, int | float) for x in rows):
+            r, g, b = srgb(np.array(rows)) if slot == "emissive" else rows
+            values[slot] = (float(r), float(g), float(b))
+    return values
 
 
 def _read_obj(path: Path) -> Contents:
