@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float64, Int
 from flx.assets.asset import Asset
 from flx.geometry.atlas import uv_areas
 from flx.geometry.raster import barycentric_planes, pixels_inside
-from flx.geometry.topology import edges_of, pieces
+from flx.geometry.topology import edges_of, label_components
 
 RASTER = 1024  # pixels on the longer side on which texels are counted
 
@@ -54,7 +54,7 @@ def _components(faces: Int[Any, "F 3"], count: int) -> tuple[Int[Any, "V"], Bool
     """The component of each vertex, and which components have no boundary."""
     edges = edges_of(faces, count)
     ends = edges.ends
-    number, component = pieces(ends, count)
+    number, component = label_components(ends, count)
     closed = np.ones(number, bool)
     closed[component[ends[edges.uses == 1, 0]]] = False
     return component, closed

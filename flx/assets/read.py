@@ -254,7 +254,7 @@ def _report(
         **fixed.repairs._asdict(),
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
-        **fixed.shape._asdict(),
+        **fixed.topology._asdict(),
         flat_uv_faces=int((painted & (np.abs(uv_areas(mesh)) <= 1e-14)).sum()),
         outside_uv_faces=int((painted & outside).sum()),
         color_source="texture" if textures else "vertex colours",

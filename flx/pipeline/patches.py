@@ -24,7 +24,7 @@ from flx.geometry.arrays import area_normals, length_of
 from flx.geometry.copies import points_in_rings, queries_at
 from flx.geometry.remesh.planar import planar
 from flx.geometry.sampling import positions
-from flx.geometry.tangent import TangentFrames, mean_vertex_radius, tangent_frames
+from flx.geometry.tangent import TangentFrames, tangent_frames
 from flx.pipeline.printed_pages import printed_pages
 from flx.types import Queries, RingSamples, SurfacePoints, Triangulation
 
@@ -80,8 +80,8 @@ def bank_of_patches(samples: int, queries: int, seed: int) -> Patches:
     for irregularity in np.linspace(0, 0.7, SHEETS):
         sheet = planar(SHEET_VERTICES, (1.0, 1.0), rng, irregularity)
         points, logs = points_in_rings(sheet, samples, rng)
-        places = _places(sheet, points).reshape(logs.shape)
         frames = tangent_frames(sheet)
+        places = _places(sheet, points, frames.radius).reshape(logs.shape)
         for center in rng.choice(SHEET_VERTICES, PATCHES, replace=False):
             bank.append(_patch(sheet, frames, int(center), logs, places, queries, rng))
     return jax.tree.map(lambda *parts: np.stack(parts), *bank)
@@ -109,7 +109,7 @@ def _patch(
         logs[chosen],
         (places[chosen] - origin).astype(np.complex64),
         asked._replace(vertices=numbers[asked.vertices]),
-        (_places(sheet, points) - origin).astype(np.complex64),
+        (_places(sheet, points, frames.radius) - origin).astype(np.complex64),
     )
 
 
@@ -120,9 +120,9 @@ def _points_in_faces(sheet: Triangulation, faces: Any, count: int, rng: np.rando
     return SurfacePoints(picked, rng.dirichlet(np.ones(3), count))
 
 
-def _places(sheet: Triangulation, points: SurfacePoints) -> Any:
+def _places(sheet: Triangulation, points: SurfacePoints, radius: float) -> Any:
     where = positions(sheet.vertices, sheet.faces, points)
-    return (where[:, 0] + 1j * where[:, 1]) / mean_vertex_radius(sheet)
+    return (where[:, 0] + 1j * where[:, 1]) / radius
 
 
 # --- batches

@@ -9,7 +9,7 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, unit, vertex_normals
+from flx.geometry.arrays import area_normals, dot, unit_vectors, vertex_normals
 from flx.geometry.remesh.features import features
 from flx.geometry.remesh.smoothing import Surface
 from flx.geometry.remesh.stars import sharpest_cosines
@@ -129,7 +129,7 @@ def _leaning(vertices, faces):
     """Which faces lean against the normal of a corner."""
     normals = area_normals(vertices, faces)
     corners = vertex_normals(faces, normals, len(vertices))
-    normals = unit(normals)
+    normals = unit_vectors(normals)
     return np.minimum.reduce([dot(normals, np.take(corners, faces[:, k], 0)) for k in range(3)]) < SLOPE
 
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, chunks, dot, length_of, sum_at, unit
-from flx.geometry.topology import Topology, pieces
+from flx.geometry.arrays import area_normals, chunks, dot, length_of, sum_at, unit_vectors
+from flx.geometry.topology import Topology, label_components
 
 CREASE = np.cos(np.radians(60.0))  # faces that bend more than 60° meet in a crease
 CURVE = 4  # edges in the shortest crease
@@ -17,7 +17,7 @@ def features(
 ) -> tuple[Bool[Any, "E"], Int[Any, "V"]]:
     """Which edges are features, and how free each vertex is: 0 on a face, 1 on a curve, 2 at a corner."""
     feature = topo.boundary.copy()
-    normals = unit(area_normals(vertices, faces))
+    normals = unit_vectors(area_normals(vertices, faces))
     sharp = np.flatnonzero(~feature & (bends(normals, topo) < CREASE))
     feature[long_curves(topo.edges[sharp], np.ones(len(sharp)), len(vertices), least, sharp)] = True
     degree = np.bincount(topo.edges[feature].ravel(), minlength=len(vertices))
@@ -40,7 +40,7 @@ def _turns(vertices, rim):
     if not len(rim):
         return []
     a, b = rim.T
-    along = unit(vertices[b] - vertices[a])
+    along = unit_vectors(vertices[b] - vertices[a])
     turn = sum_at(a[:, None], along, len(vertices)) - sum_at(b[:, None], along, len(vertices))
     return np.flatnonzero(length_of(turn) > 1)
 
@@ -49,5 +49,5 @@ def long_curves(
     edges: Int[Any, "N 2"], lengths: Float64[Any, "N"], count: int, least: float | int, ids: Int[Any, "N"]
 ) -> Int[Any, "n"]:
     """The `ids` of edges in connected curves at least `least` long: sharp specks of a scan are no creases."""
-    curve = pieces(edges, count)[1][edges[:, 0]]
+    curve = label_components(edges, count)[1][edges[:, 0]]
     return ids[np.bincount(curve, lengths)[curve] >= least] if len(ids) else ids

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, cross, dot, length_of, unit
+from flx.geometry.arrays import area_normals, cross, dot, length_of, unit_vectors
 from flx.geometry.remesh.features import features
 from flx.geometry.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, mark, topology
 from flx.types import Triangulation
@@ -251,8 +251,8 @@ def _flips_well(quads, cap):
     """The two faces lie nearly in one plane, before and after; a cap has no plane of its own."""
     a, b, p, q = quads.transpose(1, 0, 2)
     left, right = cross(a - p, b - p), cross(b - q, a - q)
-    mean = unit(left + right)
-    good = cap | (dot(unit(left), unit(right)) > 0.5)
+    mean = unit_vectors(left + right)
+    good = cap | (dot(unit_vectors(left), unit_vectors(right)) > 0.5)
     for after in (cross(a - p, q - p), cross(b - q, p - q)):
-        good &= dot(unit(after), mean) > 0.5
+        good &= dot(unit_vectors(after), mean) > 0.5
     return good

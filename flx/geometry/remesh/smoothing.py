@@ -6,7 +6,7 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit, vertex_normals
+from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors, vertex_normals
 from flx.geometry.remesh.features import CURVE, bends, features, long_curves
 from flx.geometry.topology import edge_lengths, mark, topology
 from flx.types import Triangulation
@@ -33,7 +33,7 @@ class Surface:
             NARROWEST * np.linalg.norm(np.ptp(vertices, axis=0)) / np.sqrt(length_of(self.normals).sum() / 2)
         )
         self.gap = min(GAP, narrow) * length
-        self.normals = unit(self.normals)
+        self.normals = unit_vectors(self.normals)
         self.edges, self.face_edges = topo.edges, topo.face_edges
         self.tree = igl.AABB()
         self.tree.init(vertices, faces)
@@ -106,7 +106,7 @@ def _probes(vertices, faces, topo, length):
     """Points that a mesh may miss, and their normals: the vertices, and others on long edges that bend."""
     normals = area_normals(vertices, faces)
     outward = vertex_normals(faces, normals, len(vertices))
-    normals = unit(normals)
+    normals = unit_vectors(normals)
     pieces = np.ceil(edge_lengths(vertices, topo) / (SPACING * length)).astype(np.int64)
     bent = np.flatnonzero((pieces > 1) & ~topo.boundary & (bends(normals, topo) < BENT))
     inner = pieces[bent] - 1
@@ -116,7 +116,7 @@ def _probes(vertices, faces, topo, length):
     a, b = topo.edges[bent[edge]].T
     return (
         np.concatenate([vertices, (1 - t) * vertices[a] + t * vertices[b]]),
-        np.concatenate([outward, unit(outward[a] + outward[b])]),
+        np.concatenate([outward, unit_vectors(outward[a] + outward[b])]),
     )
 
 
@@ -161,7 +161,7 @@ def _without_folds(vertices, moved, faces, normals):
     area = length_of(normals)
     least = np.minimum(0.1 * area.mean(), 0.9 * area)
     while True:
-        folded = dot(unit(normals), area_normals(moved, faces)) < least
+        folded = dot(unit_vectors(normals), area_normals(moved, faces)) < least
         back = faces[folded].ravel()
         if (moved[back] == vertices[back]).all():
             return moved

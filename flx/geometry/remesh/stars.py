@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, sum_at, unit
+from flx.geometry.arrays import area_normals, dot, sum_at, unit_vectors
 from flx.geometry.topology import mark
 
 
@@ -24,7 +24,7 @@ class Stars:
         self.ids = np.flatnonzero(owners >= 0)
         self.faces, self.owners, self.size = faces[self.ids], owners[self.ids], len(centers)
         self.face_normals = area_normals(vertices, self.faces)
-        self.normals = unit(sum_at(self.owners[:, None], self.face_normals, self.size))
+        self.normals = unit_vectors(sum_at(self.owners[:, None], self.face_normals, self.size))
         self.centers = centers
 
     def middles(self, vertices: Float64[Any, "V 3"]) -> Float64[Any, "N 3"]:
@@ -39,7 +39,7 @@ class Stars:
 
     def keep_facing(self, moved: Float64[Any, "V 3"], least: float = 0.5) -> Bool[Any, "N"]:
         """Whether no face of the star turns by more than arccos(`least`)."""
-        turn = dot(unit(self.face_normals), unit(area_normals(moved, self.faces)))
+        turn = dot(unit_vectors(self.face_normals), unit_vectors(area_normals(moved, self.faces)))
         return self.worst(-turn) < -least
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit
+from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors
 from flx.geometry.remesh.deviation import EASY, fit_of, gaps_of, shapes_of
 from flx.geometry.remesh.operators import disjoint, ranks
 from flx.geometry.remesh.smoothing import Surface
@@ -218,9 +218,9 @@ def _sound(fit, change, length):
     owners, size = change.owners, change.size
     states = ((fit.vertices, fit.faces[change.rows]), (change.vertices, change.faces))
     normals = [area_normals(*state) for state in states]
-    mean = [unit(sum_at(owners[:, None], each, size)) for each in normals]
+    mean = [unit_vectors(sum_at(owners[:, None], each, size)) for each in normals]
     down = [
-        largest(owners, -dot(unit(each), np.take(main, owners, 0)), size)
+        largest(owners, -dot(unit_vectors(each), np.take(main, owners, 0)), size)
         for each, main in zip(normals, mean, strict=True)
     ]
     sharp = [largest(owners, sharpest_cosines(*state), size) for state in states]
