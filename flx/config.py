@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 Precision = Literal["bfloat16", "float32"]
+Filter = Literal["harmonic", "mlp"]
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
@@ -54,7 +55,7 @@ class FLDM:
     latents: int = 8  # this and the next are the FL-VAE's when a mesh is learnt
     invariants: int = 0
     channels: int = 96  # of the fine level; the coarse level has twice as many
-    filter: Literal["harmonic", "mlp"] = "harmonic"  # ours, twice as fast; "mlp" is the paper's
+    filter: Filter = "harmonic"  # ours, twice as fast; "mlp" is the paper's
     filter_width: int = 8  # channels inside the filter
     vn_layers: int = 3  # layers of each VN MLP
     embedding: int = 128  # width of the scalar embedding π
