@@ -14,6 +14,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
+Filter = Literal["harmonic", "mlp"]
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
@@ -59,7 +60,7 @@ class FLDM:
     latents: int | None = None
     invariants: int | None = None
     channels: int = 96  # of the fine level; the coarse level has twice as many
-    filter: Literal["harmonic", "mlp"] = "harmonic"  # ours, twice as fast; "mlp" is the paper's
+    filter: Filter = "harmonic"  # ours, twice as fast; "mlp" is the paper's
     filter_width: int = 8  # channels inside the filter
     vn_layers: int = 3  # layers of each VN MLP
     embedding: int = 128  # width of the scalar embedding π

@@ -22,9 +22,9 @@ from flx.assets.formats.files import BadFile, is_absolute, quoted, read_file
 from flx.assets.formats.images import check_together, decode_image, decode_map, original_kind
 from flx.assets.formats.parts import Material, Paint, Part
 from flx.assets.formats.readers import Contents, Picture
+from flx.geometry.arrays import face_areas
 from flx.geometry.atlas import uv_areas
 from flx.geometry.repair import Repaired, repair
-from flx.geometry.sampling import face_areas
 from flx.types import Layer, Slot, TexturedMesh
 
 FARTHEST = 1e30  # coordinates whose cubes are still numbers
@@ -317,7 +317,7 @@ def _report(
         **fixed.repairs._asdict(),
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
-        **fixed.shape._asdict(),
+        **fixed.topology._asdict(),
         flat_uv_faces=int((painted & (np.abs(uv_areas(mesh)) <= 1e-14)).sum()),
         outside_uv_faces=int((painted & outside).sum()),
         color_source="texture" if textures else "vertex colours",

@@ -11,10 +11,10 @@ from flx.assets.formats.files import BadFile
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.images import bits_of, open_image
 from flx.assets.formats.readers import load_beside
+from flx.geometry.arrays import face_areas
 from flx.geometry.atlas import uv_areas
 from flx.geometry.raster import barycentric_planes, pixels_inside
-from flx.geometry.sampling import face_areas
-from flx.geometry.topology import edges_of, pieces
+from flx.geometry.topology import edges_of, label_components
 from flx.types import Slot
 
 RASTER = 1024  # pixels on the longer side on which texels are counted
@@ -90,7 +90,7 @@ def _components(faces: Int[Any, "F 3"], count: int) -> tuple[Int[Any, "V"], Bool
     """The component of each vertex, and which components have no boundary."""
     edges = edges_of(faces, count)
     ends = edges.ends
-    number, component = pieces(ends, count)
+    number, component = label_components(ends, count)
     closed = np.ones(number, bool)
     closed[component[ends[edges.uses == 1, 0]]] = False
     return component, closed

@@ -24,8 +24,9 @@ from flx.assets.formats.glb import build_gltf
 from flx.assets.formats.images import encode_png
 from flx.assets.formats.parts import Paint, Part
 from flx.assets.formats.readers import gltf_contents
+from flx.geometry.arrays import face_areas
 from flx.geometry.atlas import atlas_texels, paint
-from flx.geometry.sampling import face_areas, face_normals, positions
+from flx.geometry.sampling import face_normals, positions
 from flx.types import Layer, SurfacePoints, TexturedMesh
 
 TEXTURE = 1024  # texels along each side

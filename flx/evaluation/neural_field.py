@@ -1,8 +1,8 @@
-"""Intrinsic Neural Fields (Koestler et al., ECCV 2022): one MLP a mesh, on the Laplacian's eigenfunctions.
+"""Intrinsic Neural Fields (Koestler et al., ECCV 2022): one MLP per mesh, on the Laplacian's eigenfunctions.
 
-The published budget is thousands of eigenfunctions and hours of a GPU. Ours is what a table can afford for
-every mesh: `EIGENFUNCTIONS`, `STEPS` and `BATCH` below. It learns from as many colours of the texture as the
-FL-VAE sees: 64 a vertex.
+The published budget is thousands of eigenfunctions and hours on a GPU. Ours (`EIGENFUNCTIONS`, `STEPS` and
+`BATCH` below) is small enough for a table of many meshes. The MLP learns from as many colours of the texture
+as the FL-VAE encodes, 64 per vertex.
 """
 
 from typing import Any
@@ -16,30 +16,34 @@ from jax import Array
 from jaxtyping import Float, Float64
 from scipy.sparse.linalg import eigsh
 
-from flx.evaluation.baselines import Paint, Subject
+from flx.evaluation.baselines import Painter, Subject
 from flx.geometry.sampling import ring_points, surface_colors, transfer
 from flx.models.layers import RealMLP
 from flx.types import Triangulation
 
-EIGENFUNCTIONS = 512  # at most an eighth of the vertices
+EIGENFUNCTIONS = 512  # most eigenfunctions; never more than an eighth of the vertices
 WIDTHS = (128,) * 6 + (3,)
 STEPS, BATCH = 2000, 2048
-RATE = 2e-3  # to nothing on a cosine
-SAMPLES = 64  # colours a vertex
-POINTS = 32_768  # coloured at once
+RATE = 2e-3  # initial learning rate; cosine decay to 0
+SAMPLES = 64  # training colours per vertex
+POINTS_AT_ONCE = 32_768  # points decoded at a time
 
 
-def intrinsic_field(subject: Subject) -> Paint:
-    """Train an MLP from eigenfunctions to the texture."""
+def intrinsic_field(subject: Subject) -> Painter:
+    """Train an MLP from the eigenfunctions at a point to its colour."""
     functions = jnp.asarray(eigenfunctions(subject.triangulation), jnp.float32)
     rng = np.random.default_rng(0)
     points, _ = ring_points(subject.triangulation, SAMPLES, rng)
     mesh = subject.mesh
     hits = transfer(points, *subject.triangulation, mesh.vertices, mesh.faces)
     corners = jnp.asarray(subject.triangulation.faces[points.faces], jnp.int32)
-    seen = (corners, jnp.asarray(points.barycentrics, jnp.float32), jnp.asarray(surface_colors(mesh, hits)))
+    samples = (
+        corners,
+        jnp.asarray(points.barycentrics, jnp.float32),
+        jnp.asarray(surface_colors(mesh, hits)),
+    )
     model = RealMLP(WIDTHS)
-    params = _fit(model, functions, seen)
+    params = _fit(model, functions, samples)
 
     @jax.jit
     def colors(corners: Array, barycentrics: Array) -> Array:
@@ -47,15 +51,15 @@ def intrinsic_field(subject: Subject) -> Paint:
             answer: Any = model.apply(params, point[1] @ functions[point[0]])
             return jnp.clip(0.5 + answer, 0, 1)
 
-        return jax.lax.map(one, (corners, barycentrics), batch_size=POINTS)
+        return jax.lax.map(one, (corners, barycentrics), batch_size=POINTS_AT_ONCE)
 
     return lambda points: np.asarray(colors(jnp.asarray(points.vertices), jnp.asarray(points.barycentrics)))
 
 
 def eigenfunctions(triangulation: Triangulation) -> Float64[Any, "V N"]:
-    """The smoothest eigenfunctions of the cotangent Laplacian, each of mean square 1 over the surface.
+    """The smoothest eigenfunctions of the cotangent Laplacian, scaled to mean square 1 over the surface.
 
-    Of a mesh in several pieces, the constant of each piece is among them.
+    They include a constant for each component of the mesh.
     """
     vertices, faces = triangulation.vertices, np.ascontiguousarray(triangulation.faces, np.int64)
     count = min(EIGENFUNCTIONS, len(vertices) // 8)
@@ -67,9 +71,9 @@ def eigenfunctions(triangulation: Triangulation) -> Float64[Any, "V N"]:
     return eigsh(stiffness.tocsc(), count, masses.tocsc(), sigma=-1e-2 / area, v0=start)[1]
 
 
-def _fit(model: RealMLP, functions: Float[Array, "V N"], seen: tuple[Array, Array, Array]) -> Any:
-    """Adam on the L1 distance of colours."""
-    corners, barycentrics, colors = seen
+def _fit(model: RealMLP, functions: Float[Array, "V N"], samples: tuple[Array, Array, Array]) -> Any:
+    """Minimise the L1 distance of colours with Adam."""
+    corners, barycentrics, colors = samples
     optimiser = optax.adam(optax.cosine_decay_schedule(RATE, STEPS))
     params = model.init(jax.random.key(0), functions[:1])
 

@@ -17,9 +17,8 @@ from scipy.spatial import ConvexHull
 
 from flx.assets.read import read_asset
 from flx.assets.vase import vase_asset
-from flx.config import FLDM, FLVAE, Blocks
+from flx.config import FLDM, FLVAE, Blocks, Filter
 from flx.fields.algebra import squared_modulus, tangent_noise
-from flx.fields.convolution import Filter
 from flx.geometry.atlas import atlas_texels
 from flx.geometry.remesh.remesh import remesh
 from flx.geometry.render import render

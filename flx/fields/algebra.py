@@ -1,17 +1,16 @@
 """The algebra of tangent vectors: complex numbers in the frames of their own vertices.
 
-Every function commutes with a change of frame, x ↦ e^{iα}x. Weights are real: a complex one is its
-(re, im) pair, because plain optimisers step along the conjugate of a complex gradient.
+Every function commutes with a change of frame, x ↦ e^{iα}x. Weights are real arrays: a complex weight is
+stored as its (re, im) pair, because on complex arrays optimisers would step along the conjugate of JAX's
+gradient.
 """
-
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Complex, Float
 
-Precision = Literal["bfloat16", "float32"]
+from flx.config import Precision
 
 
 def tangent_noise(key: Array, shape: tuple[int, ...]) -> Complex[Array, "..."]:
@@ -21,12 +20,12 @@ def tangent_noise(key: Array, shape: tuple[int, ...]) -> Complex[Array, "..."]:
 
 
 def unit(x: Complex[Array, "*V"], delta: float = 1e-12) -> Complex[Array, "*V"]:
-    """x / √(|x|² + δ): the direction without an angle, smooth at zero."""
+    """x / √(|x|² + δ): the direction as a unit complex number, smooth at zero."""
     return x * jax.lax.rsqrt(squared_modulus(x) + delta)
 
 
 def squared_modulus(x: Complex[Array, "*V"]) -> Float[Array, "*V"]:
-    """|x|², whose gradient at zero is zero, where that of |x| is not a number."""
+    """|x|², whose gradient at zero is zero (that of |x| is NaN)."""
     return jnp.real(x) ** 2 + jnp.imag(x) ** 2
 
 
@@ -36,15 +35,15 @@ def inner(x: Complex[Array, "*V"], y: Complex[Array, "*V"]) -> Float[Array, "*V"
 
 
 def real_pairs(x: Complex[Array, "*V C"]) -> Float[Array, "*V C2"]:
-    """The real parts of all channels, then the imaginary parts."""
+    """Complex channels as real ones: the real parts of all channels, then the imaginary parts."""
     return jnp.concatenate([jnp.real(x), jnp.imag(x)], -1)
 
 
 def dense(x: Float[Array, "*V C"], weight: Float[Array, "C D"], precision: Precision) -> Float[Array, "*V D"]:
-    """x W with inputs of the given precision and float32 sums; float64 inputs stay float64.
+    """x W with inputs in the given precision and float32 sums; float64 inputs stay float64.
 
-    The barriers keep XLA:CPU from splitting the product along a concatenation before it and from fusing
-    what is gathered there into each part, which is slow.
+    The barriers keep XLA:CPU from splitting the product along a preceding concatenation and from fusing the
+    gathers there into each part, which is slow.
     """
     x = jax.lax.optimization_barrier(x)
     if precision == "float32" or x.dtype == jnp.float64:
@@ -58,7 +57,7 @@ def dense(x: Float[Array, "*V C"], weight: Float[Array, "C D"], precision: Preci
 def complex_linear(
     x: Complex[Array, "*V C"], weight: Float[Array, "2 C D"], precision: Precision = "float32"
 ) -> Complex[Array, "*V D"]:
-    """x W as one real matrix product. No bias: a constant vector would not turn with the frame.
+    """x W, computed as one real matrix product. No bias: a constant vector would not turn with the frame.
 
     `weight` stacks the real and imaginary parts.
     """
@@ -69,7 +68,7 @@ def complex_linear(
 def complex_linear_pairs(
     x: Float[Array, "*V C2"], weight: Float[Array, "2 C D"], precision: Precision = "float32"
 ) -> Float[Array, "*V D2"]:
-    """`complex_linear` of pairs: (x_re, x_im) [[W_re, W_im], [−W_im, W_re]]."""
+    """`complex_linear` on `real_pairs`: (x_re, x_im) [[W_re, W_im], [−W_im, W_re]]."""
     real, imaginary = weight
     stacked = jnp.concatenate(
         [jnp.concatenate([real, imaginary], 1), jnp.concatenate([-imaginary, real], 1)], 0
@@ -80,14 +79,14 @@ def complex_linear_pairs(
 def vn_nonlinearity(
     q: Complex[Array, "*V C"], k: Complex[Array, "*V C"], delta: float = 1e-6
 ) -> Complex[Array, "*V C"]:
-    """Q + ReLU(−⟨Q, K⟩) / (|K|² + δ) · K: what of Q points against K is cut away (paper, VN nonlinearity)."""
+    """Q + ReLU(−⟨Q, K⟩) / (|K|² + δ) · K: removes the component of Q against K (paper, VN nonlinearity)."""
     return q + (jax.nn.relu(-inner(q, k)) / (squared_modulus(k) + delta)) * k
 
 
 def response_norm(
     x: Complex[Array, "V C"], masses: Float[Array, "V"], scale: Float[Array, "2 C"], delta: Float[Array, "C"]
 ) -> Complex[Array, "V C"]:
-    """a X / √(E|X|² + δ) for each channel, E the mean over the surface (paper, filter response norm).
+    """a X / √(E|X|² + δ) per channel, where E is the mean over the surface (paper, filter response norm).
 
     `masses` sum to 1 and are 0 at spare vertices; `scale` is a as a (re, im) pair.
     """
@@ -99,9 +98,10 @@ def response_norm(
 def token_norm(
     x: Complex[Array, "*V C"], scale: Float[Array, "2 C"], delta: float = 1e-6
 ) -> Complex[Array, "*V C"]:
-    """a X / √(E_c|X_c|² + δ), E the mean over the channels of each token.
+    """a X / √(E_c|X_c|² + δ), where E_c is the mean over the channels of each token.
 
-    Paper: a mean over p ∈ M, which in the encoder would tie a vertex's code to its batch. Pointwise here.
+    The paper takes the mean over p ∈ M, which in the encoder would make a code depend on the rest of its
+    batch. Here each token is normalised alone.
     """
     power = jnp.mean(squared_modulus(x), -1, keepdims=True)
     return x * jax.lax.complex(scale[0], scale[1]) * jax.lax.rsqrt(power + delta)

@@ -1,16 +1,16 @@
 """Field convolutions, and pooling between two levels, on the padded tables of one mesh.
 
 `(X * f)_{c'}(p) = Σ_k w_pk Σ_c Y_pkc f_{c'c}(u_pkc, π(q_k))`, Y = P_{p←q} X(q), u = log_p q · conj(Y/|Y|).
-(Paper, eq. field_conv_emb. Printed there, r e^{i(θ_pq − φ_q)} mixes the frames of p and q; u is the argument
-in the frame of p. The 2021 paper's log_q p differs from ours by −1.)
+(Paper, eq. field_conv_emb. As printed, r e^{i(θ_pq − φ_q)} mixes the frames of p and q; u is the argument in
+the frame of p. The 2021 paper's log_q p differs from ours by the factor −1.)
 
-Both filters are f_{c'c} = Σ_h W_{c'c,h} h(u, π): the sum over the ring comes first, and the dense W after it
+Both filters are f_{c'c} = Σ_h W_{c'c,h} h(u, π): the sum over the ring comes first, then the dense W
 (PointConv). So W is the third layer of the paper's three-layer MLP, and h the two inner ones.
 
-- `mlp` (the paper): h is a real MLP of (Re u, Im u, π), run for each edge and channel.
-- `harmonic` (ours): h(r e^{iα}, π) = g_h(r, π) e^{imα}, m ∈ {0, 1, 2}, and g runs for each edge only. Then
+- `mlp` (the paper): h is a real MLP of (Re u, Im u, π), evaluated for each edge and channel.
+- `harmonic` (ours): h(r e^{iα}, π) = g_h(r, π) e^{imα}, m ∈ {0, 1, 2}, with g evaluated once per edge. Then
   Y h(u) = κ_h(p, k) P_m(q): powers P of the vectors, P_0 = X, P_1 = |X|, P_2 = conj X, and coefficients
-  κ = w g e^{i(mθ + (1−m)φ_pq)} that know nothing of channels.
+  κ = w g e^{i(mθ + (1−m)φ_pq)} that do not depend on the channel.
 
 No function scatters: the backward pass of a gather over a ring gathers through `reverse`, where slot k of p
 is slot `reverse` of q = neighbors[p, k]. On complex arrays JAX's cotangent is the plain transpose, so nothing
@@ -18,20 +18,19 @@ is conjugated there. Spare slots have weight 0 and reverse to themselves, so the
 """
 
 import math
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Complex, Float, Int
 
-from flx.fields.algebra import Precision, complex_linear, squared_modulus, unit
+from flx.config import Filter, Precision
+from flx.fields.algebra import complex_linear, squared_modulus, unit
 from flx.types import OneRings, Pooling
 
-Filter = Literal["harmonic", "mlp"]
 Parameters = dict[str, Array]
 
-INPUTS = {"harmonic": 1, "mlp": 2}  # r; Re u and Im u
+INPUTS = {"harmonic": 1, "mlp": 2}  # number of geometric inputs: r; Re u and Im u
 SMOOTHING = 1e-4  # δ of |X| ≈ |X|² / √(|X|² + δ)
 
 
@@ -43,9 +42,10 @@ def field_conv(
     filter: Filter = "harmonic",
     precision: Precision = "float32",
 ) -> Complex[Array, "V D"]:
-    """Convolve vector fields with a filter bank that also sees a scalar embedding π, at q.
+    """Convolve vector fields with a filter bank that also depends on a scalar embedding π at q.
 
-    `parameters`: real arrays as made by `init_filter`; `embedding` as there. Paper, eq. field_conv_emb.
+    `parameters` are those of `init_filter`; `embedding` is π, one for each vertex or one for all.
+    Paper, eq. field_conv_emb.
     """
     shift = parameters["shift"]
     if embedding is not None:
@@ -58,10 +58,10 @@ def field_conv(
 def init_filter(
     key: Array, channels: int, features: int, embedding: int = 0, width: int = 8, filter: Filter = "harmonic"
 ) -> Parameters:
-    """Parameters of one filter bank C → D: real arrays, a complex weight as (re, im).
+    """Parameters of one filter bank C → D: real arrays, with complex weights as (re, im).
 
-    `embedding`: E, 0 for a filter without one. Scaled so that tangent noise on a regular ring of seven keeps
-    its second moment: the mean of seven alone would divide it by seven.
+    `embedding` is E, or 0 for a filter without one. The scale preserves the second moment of tangent noise on
+    a regular ring of seven, which their mean alone would divide by seven.
     """
     keys = jax.random.split(key, 5)
     parameters = {
@@ -79,8 +79,8 @@ def init_filter(
         jnp.ones((6, 1)) if filter == "harmonic" else jnp.stack([jnp.cos(angles), jnp.sin(angles)], 1)
     )
     h = _profile(parameters, jnp.concatenate([jnp.zeros((1, INPUTS[filter])), circle]), parameters["shift"])
-    kept = jnp.sum(jnp.mean(h**2, 1)) / 7**2
-    scale = jax.lax.rsqrt(2 * width * channels * kept)
+    gain = jnp.sum(jnp.mean(h**2, 1)) / 7**2
+    scale = jax.lax.rsqrt(2 * width * channels * gain)
     return parameters | {"output": scale * jax.random.normal(keys[3], (2, width * channels, features))}
 
 
@@ -90,25 +90,25 @@ def _profile(parameters: Parameters, inputs: Float[Array, "*V I"], shift: Array)
     return jax.nn.silu(hidden @ parameters["hidden"] + parameters["bias"])
 
 
-def rows(x: Array, index: Int[Array, "*I"]) -> Array:
-    """Rows of a table that is trusted to point inside: no clamp, so that XLA fuses the gather."""
+def gather(x: Array, index: Int[Array, "*I"]) -> Array:
+    """x[index] without bounds checks, so that XLA fuses the gather; indices must be valid."""
     return x.at[index].get(mode="promise_in_bounds")
 
 
-def received(rings: OneRings, sent: Array) -> Array:
-    """[V, K, …] given for the edges (p, k), read at (q, reverse): what p sent to each neighbour, at it."""
+def gather_reverse(rings: OneRings, sent: Array) -> Array:
+    """The values [V, K, …] that each vertex receives, where `sent` holds those it sends along its slots."""
     return sent.at[rings.neighbors, rings.reverse].get(mode="promise_in_bounds")
 
 
 @jax.custom_vjp
 def _ring_values(rings: OneRings, x: Float[Array, "V H"]) -> Float[Array, "V K H"]:
-    """Scalars at the neighbours. Its cotangent must vanish on spare slots."""
-    return rows(x, rings.neighbors)
+    """The scalars x at the neighbours. The cotangent must vanish on spare slots."""
+    return gather(x, rings.neighbors)
 
 
 _ring_values.defvjp(
     lambda rings, x: (_ring_values(rings, x), rings),
-    lambda rings, cotangent: (None, received(rings, cotangent).sum(1)),
+    lambda rings, cotangent: (None, gather_reverse(rings, cotangent).sum(1)),
 )
 
 
@@ -118,16 +118,16 @@ _ring_values.defvjp(
 def _harmonic_response(
     rings: OneRings, x: Complex[Array, "V C"], shift: Array, parameters: Parameters
 ) -> Complex[Array, "V H C"]:
-    """Σ_k κ_h(p, k) P_m(q_k), the orders m spread over the H filter channels."""
+    """Σ_k κ_h(p, k) P_m(q_k), with the orders m distributed over the H filter channels."""
     r = jnp.abs(rings.logs)
     at_neighbors = shift if shift.ndim == 1 else _ring_values(rings, shift)
     g = _profile(parameters, r[..., None], at_neighbors)
 
-    # (log/|log|)^m with 0⁰ = 1 and 0^m = 0: the self slot has no direction, so it feeds only m = 0.
+    # (log/|log|)^m with 0⁰ = 1 and 0^m = 0: the self slot has no direction, so it contributes to m = 0 only.
     direction = rings.logs / jnp.where(r > 0, r, 1.0)
     phases = (rings.transports, direction, direction**2 * jnp.conj(rings.transports))
     kappa = jnp.stack([rings.weights * phases[m] for m in _orders(g.shape[-1])]) * jnp.moveaxis(g, -1, 0)
-    return jnp.moveaxis(_spread(rings, kappa, x), 0, 1)
+    return jnp.moveaxis(_ring_sums(rings, kappa, x), 0, 1)
 
 
 def _orders(width: int) -> list[int]:
@@ -143,13 +143,13 @@ def _powers(x: Complex[Array, "V C"], width: int) -> Complex[Array, "H V C"]:
 
 
 @jax.custom_vjp
-def _spread(
+def _ring_sums(
     rings: OneRings, kappa: Complex[Array, "H V K"], x: Complex[Array, "V C"]
 ) -> Complex[Array, "H V C"]:
     """Σ_k κ_h(p, k) P_h(q_k), one filter channel at a time.
 
-    Unrolled over the slots, XLA fuses the sum into one pass. The loop over h is there to keep that pass from
-    being fused with what comes before and after it, which costs 20 times as much (measured).
+    Unrolled over the slots, the sum is fused by XLA into one pass. The loop over h prevents that pass from
+    being fused with the operations before and after it, which takes 20 times as long (measured).
     """
 
     def one(_: None, channel: tuple[Array, Array]) -> tuple[None, Array]:
@@ -162,22 +162,22 @@ def _gathered_sum(
     rings: OneRings, kappa: Complex[Array, "V K"], y: Complex[Array, "V C"]
 ) -> Complex[Array, "V C"]:
     slots = range(kappa.shape[1])
-    return sum(kappa[:, k, None] * rows(y, rings.neighbors[:, k]) for k in slots)  # type: ignore
+    return sum(kappa[:, k, None] * gather(y, rings.neighbors[:, k]) for k in slots)  # type: ignore
 
 
-def _spread_forward(rings: OneRings, kappa: Array, x: Array) -> tuple[Array, tuple]:
-    return _spread(rings, kappa, x), (rings, kappa, x)
+def _ring_sums_forward(rings: OneRings, kappa: Array, x: Array) -> tuple[Array, tuple]:
+    return _ring_sums(rings, kappa, x), (rings, kappa, x)
 
 
-def _spread_backward(saved: tuple, cotangent: Array) -> tuple:
+def _ring_sums_backward(saved: tuple, cotangent: Array) -> tuple:
     rings, kappa, x = saved
     powers, to_x = jax.vjp(lambda x: _powers(x, len(kappa)), x)
 
     def one(_: None, channel: tuple[Array, Array, Array]) -> tuple[None, tuple[Array, Array]]:
         kappa, power, bar = channel
-        power_bar = _gathered_sum(rings, received(rings, kappa), bar)
+        power_bar = _gathered_sum(rings, gather_reverse(rings, kappa), bar)
         slots = range(kappa.shape[1])
-        dots = [_row_dots(bar, rows(power, rings.neighbors[:, k])) for k in slots]
+        dots = [_row_dots(bar, gather(power, rings.neighbors[:, k])) for k in slots]
         return None, (jnp.stack(dots, 1), power_bar)
 
     kappa_bar, powers_bar = jax.lax.scan(one, None, (kappa, powers, cotangent))[1]
@@ -185,14 +185,14 @@ def _spread_backward(saved: tuple, cotangent: Array) -> tuple:
 
 
 def _row_dots(a: Complex[Array, "V C"], b: Complex[Array, "V C"]) -> Complex[Array, "V"]:
-    """Σ_c a_c b_c. Blocks of one vector register are added first: XLA's CPU sum along a fused complex row is
-    not vectorised (measured: 34 → 8 ms for a convolution)."""
+    """Σ_c a_c b_c, first in blocks of one vector register, because XLA does not vectorise a fused complex sum
+    on the CPU (measured: 34 → 8 ms for a convolution)."""
     lanes = math.gcd(a.shape[-1], 16)
     blocks = (a[:, s : s + lanes] * b[:, s : s + lanes] for s in range(0, a.shape[-1], lanes))
     return jnp.sum(sum(blocks), -1)  # type: ignore
 
 
-_spread.defvjp(_spread_forward, _spread_backward)
+_ring_sums.defvjp(_ring_sums_forward, _ring_sums_backward)
 
 
 # --- mlp --------------------------------------------------------------------------------------------------
@@ -213,9 +213,9 @@ def _message(
     shift: Float[Array, "V H"],
     weights: Parameters,
 ) -> Complex[Array, "V H C"]:
-    """w Y h(u, π) along one edge at each vertex, from (log conj P, w P) of the edge and X, π at its q.
+    """w Y h(u, π) along one edge per vertex, from (log conj P, w P) of the edge and X, π at its q.
 
-    Weights are repeated for each vertex, so that their gradients are first summed along rows (the fast way).
+    Weights are repeated for each vertex, so that their gradients are first summed along rows, which is fast.
     """
     argument, transport = edge
     vertices = x.shape[0]
@@ -237,11 +237,11 @@ def _mlp_edges(rings: OneRings) -> tuple[Complex[Array, "V K"], Complex[Array, "
 
 @jax.custom_vjp
 def _messages(rings: OneRings, x: Array, shift: Array, weights: Parameters) -> Array:
-    """The sum of the messages over the ring, one slot at a time: [V, K, C, H] never exists."""
+    """The sum of the messages over the ring, one slot at a time, so that [V, K, C, H] is never in memory."""
 
     def receive(total: Array, slot: tuple) -> tuple[Array, None]:
         q, edge = slot
-        return total + _message(edge, rows(x, q), rows(shift, q), weights), None
+        return total + _message(edge, gather(x, q), gather(shift, q), weights), None
 
     nothing = jnp.zeros((x.shape[0], shift.shape[1], x.shape[1]), x.dtype)
     slots = (rings.neighbors.T, tuple(e.T for e in _mlp_edges(rings)))
@@ -253,16 +253,16 @@ def _messages_forward(rings: OneRings, x: Array, shift: Array, weights: Paramete
 
 
 def _messages_backward(saved: tuple, cotangent: Array) -> tuple:
-    """Each vertex works out again what it sent to each neighbour, and collects the cotangents there."""
+    """Each vertex recomputes its messages and gathers their cotangents from the neighbours."""
     rings, *primals = saved
 
     def send(total: list, slot: tuple) -> tuple[list, None]:
         p, edge = slot
         _, pull = jax.vjp(lambda *primals: _message(edge, *primals), *primals)
-        return jax.tree.map(jnp.add, total, list(pull(rows(cotangent, p)))), None
+        return jax.tree.map(jnp.add, total, list(pull(gather(cotangent, p)))), None
 
     nothing = jax.tree.map(jnp.zeros_like, primals)
-    slots = (rings.neighbors.T, tuple(received(rings, e).T for e in _mlp_edges(rings)))
+    slots = (rings.neighbors.T, tuple(gather_reverse(rings, e).T for e in _mlp_edges(rings)))
     return None, *jax.lax.scan(send, nothing, slots)[0]
 
 
@@ -274,18 +274,18 @@ _messages.defvjp(_messages_forward, _messages_backward)
 
 @jax.custom_vjp
 def pool(pooling: Pooling, x: Complex[Array, "V C"]) -> Complex[Array, "W C"]:
-    """The mean over each cluster, weighted by mass, of vectors transported to its centre."""
+    """The mass-weighted mean over each cluster of vectors transported to its centre."""
     carry = pooling.child_weights * pooling.child_transports
     slots = range(carry.shape[1])
-    return sum(carry[:, m, None] * rows(x, pooling.children[:, m]) for m in slots)  # type: ignore
+    return sum(carry[:, m, None] * gather(x, pooling.children[:, m]) for m in slots)  # type: ignore
 
 
 def _pool_backward(pooling: Pooling, cotangent: Array) -> tuple:
-    # A vertex finds its own weight in the list of its cluster; spare entries repeat the centre with weight 0.
+    # A vertex looks up its own weight in its cluster; spare entries repeat the centre with weight 0.
     me = jnp.arange(pooling.parents.shape[0])[:, None]
-    mine = rows(pooling.children, pooling.parents) == me
-    weight = jnp.sum(jnp.where(mine, rows(pooling.child_weights, pooling.parents), 0.0), 1)
-    return None, (weight * pooling.transports)[:, None] * rows(cotangent, pooling.parents)
+    mine = gather(pooling.children, pooling.parents) == me
+    weight = jnp.sum(jnp.where(mine, gather(pooling.child_weights, pooling.parents), 0.0), 1)
+    return None, (weight * pooling.transports)[:, None] * gather(cotangent, pooling.parents)
 
 
 pool.defvjp(lambda pooling, x: (pool(pooling, x), pooling), _pool_backward)
@@ -293,14 +293,14 @@ pool.defvjp(lambda pooling, x: (pool(pooling, x), pooling), _pool_backward)
 
 @jax.custom_vjp
 def unpool(pooling: Pooling, x: Complex[Array, "W C"]) -> Complex[Array, "V C"]:
-    """Every fine vertex takes the vector of its cluster, carried back by P_{v←parent} = conj P_{parent←v}."""
-    return jnp.conj(pooling.transports)[:, None] * rows(x, pooling.parents)
+    """Each fine vertex takes the vector of its cluster, transported by P_{v←parent} = conj P_{parent←v}."""
+    return jnp.conj(pooling.transports)[:, None] * gather(x, pooling.parents)
 
 
 def _unpool_backward(pooling: Pooling, cotangent: Array) -> tuple:
     carry = jnp.where(pooling.child_weights > 0, jnp.conj(pooling.child_transports), 0.0)
     slots = range(carry.shape[1])
-    return None, sum(carry[:, m, None] * rows(cotangent, pooling.children[:, m]) for m in slots)
+    return None, sum(carry[:, m, None] * gather(cotangent, pooling.children[:, m]) for m in slots)
 
 
 unpool.defvjp(lambda pooling, x: (unpool(pooling, x), pooling), _unpool_backward)

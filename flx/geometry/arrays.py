@@ -1,4 +1,4 @@
-"""Rows of 3-vectors, faster than NumPy's cross and norm.
+"""Arithmetic on arrays of 3-vectors, faster than NumPy's cross and norm; normals, areas and distinct rows.
 
 `numpy.take` gathers rows twice as fast as indexing does.
 """
@@ -11,12 +11,12 @@ from jaxtyping import Float64, Int, Num
 
 Vectors = Float64[Any, "N 3"]
 Lengths = Float64[Any, "N"]
-CHUNK = 1 << 12  # rows
+CHUNK_ROWS = 1 << 12  # rows processed at a time
 
 
 def chunks(count: int) -> Iterator[slice]:
-    """Rows to be handled at a time: what is made on the way stays in the cache, and takes no memory."""
-    return (slice(start, start + CHUNK) for start in range(0, count, CHUNK))
+    """Slices that cover `count` rows, each so small that its intermediate arrays stay in the cache."""
+    return (slice(start, start + CHUNK_ROWS) for start in range(0, count, CHUNK_ROWS))
 
 
 def cross(u: Vectors, v: Vectors) -> Vectors:
@@ -33,13 +33,13 @@ def length_of(u: Vectors) -> Lengths:
     return np.sqrt(dot(u, u))
 
 
-def unit(u: Vectors) -> Vectors:
-    """Vectors of length 1; zero stays zero."""
+def unit_vectors(u: Vectors) -> Vectors:
+    """u / |u|; the zero vector stays zero."""
     return u / (length_of(u)[:, None] + 1e-300)
 
 
 def area_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F 3"]:
-    """Face normals, twice the area long."""
+    """Face normals (b − a) × (c − a), whose length is twice the face's area."""
     normals = np.empty((len(faces), 3))
     for rows in chunks(len(faces)):
         a, b, c = (np.take(vertices, faces[rows, k], 0) for k in range(3))
@@ -47,21 +47,29 @@ def area_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float
     return normals
 
 
+def face_areas(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
+    """Triangle areas, in squared units of the vertices.
+
+    NumPy's norm rounds otherwise than `length_of` does: masses and tables are defined with this one.
+    """
+    return np.linalg.norm(area_normals(vertices, faces), axis=1) / 2
+
+
 def sum_at(groups: Int[Any, "N K"], values: Float64[Any, "N C"], count: int) -> Float64[Any, "V C"]:
-    """At each of `count` vertices, the sum of the values of the groups it is in."""
+    """Scatter-add: at each of `count` vertices, the sum of the values of all groups that contain it."""
     at, width = groups.ravel(), groups.shape[1]
     return np.stack([np.bincount(at, np.repeat(x, width), count) for x in values.T], 1, dtype=float)
 
 
 def vertex_normals(faces: Int[Any, "F 3"], normals: Float64[Any, "F 3"], count: int) -> Float64[Any, "V 3"]:
-    """At each of `count` vertices, the direction of the sum of its faces' normals."""
-    return unit(sum_at(faces, normals, count))
+    """Unit normals of `count` vertices: the directions of the sums of their faces' `normals`."""
+    return unit_vectors(sum_at(faces, normals, count))
 
 
 def distinct_rows(rows: Num[Any, "N K"]) -> tuple[Int[Any, "R"], Int[Any, "N"]]:
-    """Where each distinct row comes first, in the order of the rows' values, and which of these each row is.
+    """`numpy.unique` of rows, faster: the first index of each distinct row, and each row's place among them.
 
-    −0.0 equals 0.0; NaN equals nothing.
+    Distinct rows are in ascending order. −0.0 equals 0.0; NaN equals nothing.
     """
     columns, order = _sorted(rows)
     fresh = np.ones(len(rows), bool)
@@ -72,7 +80,7 @@ def distinct_rows(rows: Num[Any, "N K"]) -> tuple[Int[Any, "R"], Int[Any, "N"]]:
 
 
 def _sorted(rows):
-    """Columns by which rows are told apart, sorted, and where each row was, the first of equal ones first."""
+    """Columns that distinguish the rows, sorted, and the original index of each row (a stable sort)."""
     key = _packed(rows)
     if key is None:
         order = np.lexsort(rows.T[::-1])
@@ -82,7 +90,7 @@ def _sorted(rows):
 
 
 def _packed(rows):
-    """The rows as one number each, in the same order; None where 63 bits are too few."""
+    """Each row packed into one integer that sorts as the row does; None if 63 bits are too few."""
     if rows.dtype.kind != "i" or not len(rows):
         return None
     key, room = np.zeros(len(rows), np.int64), 1
@@ -97,9 +105,9 @@ def _packed(rows):
 
 
 def sort_keys(keys: Int[Any, "N"]) -> tuple[Int[Any, "N"], Int[Any, "N"]]:
-    """Keys ≥ 0 in ascending order and where they were, the first of equal ones first.
+    """Sort keys ≥ 0 stably; returns the sorted keys and their original indices.
 
-    A value sort of key and place in one integer is 10 times faster than `argsort`.
+    Sorting one integer that holds both key and index is 10 times faster than `argsort`.
     """
     bits = len(keys).bit_length()
     if int(keys.max()) >> (63 - bits):

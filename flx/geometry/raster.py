@@ -1,6 +1,6 @@
-"""Triangles to pixels: scan conversion, for atlases and for views.
+"""Scan conversion of triangles, for atlases and for rendered views.
 
-Corners are in pixels, x right and y down; whole numbers are pixel centres.
+Corners are in pixels, x to the right and y down; whole numbers are pixel centres.
 """
 
 from collections.abc import Iterator
@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int
 
-CHUNK = 1 << 16  # pixels handled at a time: what the cache holds
-INSIDE = -1e-9  # least barycentric of a pixel inside: a shared edge leaves no hole
+CHUNK = 1 << 16  # pixels or points processed at a time, so that they fit the cache
+INSIDE = -1e-9  # least barycentric of a pixel that counts as inside; below 0, so shared edges leave no holes
 
 
 class Pixels(NamedTuple):
-    """Pixel centres inside triangles. A pixel may come more than once, with different triangles."""
+    """Pixel centres inside triangles. A pixel may occur more than once, with different triangles."""
 
     triangles: Int[Any, "N"]
     columns: Int[Any, "N"]
@@ -22,7 +22,7 @@ class Pixels(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """K functions that are linear on each triangle: value = at_origin + x · along + y · across."""
+    """K functions that are affine on each triangle: value = at_origin + x · along + y · across."""
 
     at_origin: Float64[Any, "K F"]
     along: Float64[Any, "K F"]
@@ -36,7 +36,7 @@ class Planes(NamedTuple):
 
 
 def barycentric_planes(corners: Float64[Any, "F 3 2"]) -> Planes:
-    """The three barycentrics of each triangle as functions of the pixel; all −1 where it has no area."""
+    """The three barycentrics of each triangle as functions of the pixel; constant −1 if it has no area."""
     (ax, ay), (bx, by), (cx, cy) = np.moveaxis(corners, 0, 2)
     areas = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     solid = np.abs(areas) > 1e-12
@@ -50,10 +50,10 @@ def barycentric_planes(corners: Float64[Any, "F 3 2"]) -> Planes:
 
 
 def pixels_inside(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
-    """Scan-convert triangles, a chunk at a time, in ascending order; those of no area have no pixels.
+    """Scan-convert triangles, a chunk at a time, in ascending order; those without area have no pixels.
 
-    Each row of a triangle is cut to the columns where all three barycentrics are ≥ 0, so long thin triangles
-    cost what they cover, not their bounding boxes.
+    Each row of a triangle is clipped to the columns where all three barycentrics are ≥ 0, so the cost of a
+    long thin triangle is its area, not that of its bounding box.
     """
     planes = barycentric_planes(corners)
     first = np.ceil(corners[:, :, 1].min(1)).astype(np.int64)
@@ -76,7 +76,7 @@ def pixels_inside(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
 
 
 def expand(counts: Int[Any, "N"]) -> Iterator[tuple[Int[Any, "M"], Int[Any, "M"]]]:
-    """Item i repeated counts[i] times, with 0, 1, 2 … beside it, in chunks that hold at least one item."""
+    """Item i repeated counts[i] times, paired with 0, 1, 2, …; in chunks of about `CHUNK` repetitions."""
     ends = np.cumsum(counts)
     start = 0
     while start < len(counts):

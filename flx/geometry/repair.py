@@ -1,10 +1,9 @@
 """From the triangles of a file to a manifold, oriented mesh; every change is counted.
 
-In this order: vertices welded by position; faces with a repeated
-corner dropped; doubled ears dropped; faces with the corners of an earlier one dropped; vertices split until
-every edge joins at most two faces of agreeing orientation and every vertex has one fan. Slivers of no area
-are kept and counted: dropping one would open the surface. No face is turned round: neighbours that disagree
-are cut apart.
+The steps, in order: weld vertices by position; drop faces with a repeated corner; drop doubled ears; drop
+faces with the same corners as an earlier one; split vertices until every edge joins at most two faces of
+agreeing orientation and every vertex has one fan. Slivers without area are kept and counted, because dropping
+one would open the surface. No face is reversed: neighbours that disagree in orientation are cut apart.
 """
 
 from typing import Any, NamedTuple
@@ -14,62 +13,72 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy.spatial import KDTree
 
-from flx.geometry.arrays import distinct_rows
-from flx.geometry.topology import Edges, boundary_loops, disagreeing, edges_of, fans, mark, pieces
+from flx.geometry.arrays import distinct_rows, face_areas
+from flx.geometry.topology import (
+    Edges,
+    boundary_loops,
+    count_disagreeing,
+    count_fans,
+    edges_of,
+    label_components,
+    mark,
+)
 
-WELD_TOLERANCE = 1e-9  # of the diagonal: round-off of a float64 transform, far below a float32 step
-MOST_NEAR = (16, 1 << 22)  # for each point, and in all: ordered pairs of points to be welded
+# Distance below which vertices are welded, as a share of the diagonal: above the round-off of a float64
+# transform, far below one step of float32.
+WELD_TOLERANCE = 1e-9
+MAX_WELD_PAIRS = (16, 1 << 22)  # ordered pairs of points to weld: at most this many per point, plus this many
 
 
 class Repairs(NamedTuple):
-    """What was done, in the order it was done."""
+    """The number of changes of each kind, in the order they are made."""
 
-    welded_vertices: int  # merged into another one at the same place
-    degenerate_faces: int  # dropped: a corner twice
-    ear_faces: int  # dropped: two with the same corners, hanging from a surface that is whole without them
-    duplicate_faces: int  # dropped: the corners of an earlier face, either way round
-    unused_vertices: int  # dropped: no face
+    welded_vertices: int  # merged into another vertex at the same place
+    degenerate_faces: int  # dropped: the same corner twice
+    ear_faces: int  # dropped: pairs with the same corners, attached to a surface that is whole without them
+    duplicate_faces: int  # dropped: the same corners as an earlier face, in either orientation
+    unused_vertices: int  # dropped: not in any face
     nonmanifold_edges: int  # cut: three faces or more
     disagreeing_edges: int  # cut: two faces that run along it in the same direction
-    nonmanifold_vertices: int  # cut: separate fans met there, or do since an edge was cut
+    nonmanifold_vertices: int  # cut: separate fans met there, in the file or after an edge was cut
     split_vertices: int  # added by all cuts
 
 
-class Shape(NamedTuple):
-    """The topology of a manifold mesh."""
+class TopologyCounts(NamedTuple):
+    """The topology of a manifold mesh, in numbers."""
 
     components: int
     boundary_edges: int
     boundary_loops: int
     euler: int
-    sliver_faces: int  # no area
+    sliver_faces: int  # faces without area
 
 
 class Repaired(NamedTuple):
-    """The mesh, its topology, and for each of its faces the row of the input it was."""
+    """A repaired mesh, its topology, and the input face that each of its faces comes from."""
 
     vertices: Float64[Any, "V 3"]
     faces: Int[Any, "F 3"]
     sources: Int[Any, "F"]
     repairs: Repairs
-    shape: Shape
+    topology: TopologyCounts
 
 
 def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
-    """For each point the first one at the same place, within `WELD_TOLERANCE` of the diagonal.
+    """For each point, the index of the first point at the same place, within `WELD_TOLERANCE`.
 
-    Raises ValueError where that is nearly everywhere, since one point is so far off.
+    Raises ValueError if nearly all points would be welded, because a stray one stretches the diagonal.
     """
     tolerance = WELD_TOLERANCE * float(np.linalg.norm(np.ptp(points, axis=0)))
     representative = np.arange(len(points))
-    near = _neighbored(points, 2 * tolerance)  # twice: for certain
+    near = _crowded(points, 2 * tolerance)  # twice the tolerance: round-off must not lose a pair
     if not len(near):
         return representative
     first, which = distinct_rows(points[near])
     unique = points[near[first]]
     tree = KDTree(unique)
     alone = len(points) - len(near)
-    most = MOST_NEAR[0] * (alone + len(unique)) + MOST_NEAR[1]
+    most = MAX_WELD_PAIRS[0] * (alone + len(unique)) + MAX_WELD_PAIRS[1]
     if alone + tree.count_neighbors(tree, tolerance) > most:
         unique = points[distinct_rows(points)[0]]
         stray = unique[np.abs(unique - np.median(unique, axis=0)).max(1).argmax()]
@@ -77,24 +86,24 @@ def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
             f"a vertex at {stray.tolist()} is so far off that the others are one point; remove it"
         )
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
-    _, group = pieces(pairs, len(unique))
+    _, group = label_components(pairs, len(unique))
     lowest = np.full(len(unique), len(points))
     np.minimum.at(lowest, group, near[first])
     representative[near] = lowest[group][which]
     return representative
 
 
-def _neighbored(points: Float64[Any, "V 3"], reach: float) -> Int[Any, "N"]:
-    """Points that may have another one within `reach`: along each axis in turn, others leave a wider gap.
+def _crowded(points: Float64[Any, "V 3"], radius: float) -> Int[Any, "N"]:
+    """Points that may have another one within `radius`; the rest are isolated along some axis.
 
-    Sorting is several times faster than a tree of all points.
+    Sorting along each axis in turn is several times faster than a tree of all points.
     """
     near, run = np.arange(len(points)), np.zeros(len(points), np.int64)
     for axis in range(points.shape[1]):
         x = points[near, axis]
         order = np.lexsort((x, run))
         x, run = x[order], run[order]
-        starts = np.flatnonzero(np.concatenate([[True], (run[1:] != run[:-1]) | (np.diff(x) > reach)]))
+        starts = np.flatnonzero(np.concatenate([[True], (run[1:] != run[:-1]) | (np.diff(x) > radius)]))
         sizes = np.diff(starts, append=len(x))
         run = np.repeat(np.arange(len(sizes)), sizes)
         shared = sizes[run] > 1
@@ -103,14 +112,14 @@ def _neighbored(points: Float64[Any, "V 3"], reach: float) -> Int[Any, "N"]:
 
 
 def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
-    """A manifold, oriented mesh of the same triangles (see the module), in the order of the input.
+    """A manifold, oriented mesh of the same triangles, in the order of the input, by the steps listed above.
 
-    Points of faces are finite. Raises ValueError where no triangle is left.
+    The points of faces must be finite. Raises ValueError if no triangle is left.
     """
     sources = np.arange(len(faces))
     representative = np.arange(len(points))
-    kept = np.flatnonzero(np.isfinite(points).all(1))
-    representative[kept] = kept[weld(points[kept])]
+    finite = np.flatnonzero(np.isfinite(points).all(1))
+    representative[finite] = finite[weld(points[finite])]
     corners = representative[faces]
 
     proper = (corners != np.roll(corners, 1, axis=1)).all(1)
@@ -127,65 +136,64 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
     present = mark(len(points), corners)
     used, compact = np.flatnonzero(present), (np.cumsum(present) - 1)[corners]
     edges = edges_of(compact, len(used))
-    several, opposed = int((edges.uses > 2).sum()), disagreeing(compact, edges.inner)
-    place = np.arange(len(used))  # the vertex that each vertex was before the cuts
-    # Three faces at an edge are three fans, or two, at its ends.
-    if opposed or fans(compact, edges.inner) != len(used):
-        compact, place = _cut(compact)
-        edges = edges_of(compact, len(place))
+    nonmanifold, opposed = int((edges.uses > 2).sum()), count_disagreeing(compact, edges.inner)
+    origins = np.arange(len(used))  # the vertex that each vertex was before the cuts
+    # An edge of three faces or more shows as more than one fan at each of its ends.
+    if opposed or count_fans(compact, edges.inner) != len(used):
+        compact, origins = _cut(compact)
+        edges = edges_of(compact, len(origins))
     repairs = Repairs(
-        welded_vertices=int((representative[kept] != kept).sum()),
+        welded_vertices=int((representative[finite] != finite).sum()),
         degenerate_faces=degenerate,
         ear_faces=int(ears.sum()),
         duplicate_faces=duplicate,
         unused_vertices=int((representative == np.arange(len(points))).sum()) - len(used),
-        nonmanifold_edges=several,
+        nonmanifold_edges=nonmanifold,
         disagreeing_edges=opposed,
-        nonmanifold_vertices=int((np.bincount(place) > 1).sum()),
-        split_vertices=len(place) - len(used),
+        nonmanifold_vertices=int((np.bincount(origins) > 1).sum()),
+        split_vertices=len(origins) - len(used),
     )
-    vertices = points[used[place]]
-    return Repaired(vertices, compact, sources, repairs, _shape(vertices, compact, edges))
+    vertices = points[used[origins]]
+    return Repaired(vertices, compact, sources, repairs, _topology_counts(vertices, compact, edges))
 
 
-def shape(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Shape:
+def topology_counts(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> TopologyCounts:
     """Components, boundary and Euler characteristic of a manifold mesh without unused vertices."""
-    return _shape(vertices, faces, edges_of(faces, len(vertices)))
+    return _topology_counts(vertices, faces, edges_of(faces, len(vertices)))
 
 
-def _shape(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], edges: Edges) -> Shape:
+def _topology_counts(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], edges: Edges) -> TopologyCounts:
     ends = edges.ends
     rim = ends[edges.uses == 1]
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.maximum(((b - a) ** 2).sum(1), np.maximum(((c - a) ** 2).sum(1), ((c - b) ** 2).sum(1)))
-    return Shape(
-        components=pieces(ends, len(vertices))[0],
+    return TopologyCounts(
+        components=label_components(ends, len(vertices))[0],
         boundary_edges=len(rim),
         boundary_loops=boundary_loops(rim, len(vertices)),
         euler=len(vertices) - len(ends) + len(faces),
-        sliver_faces=int((area <= 1e-12 * longest).sum()),
+        sliver_faces=int((2 * face_areas(vertices, faces) <= 1e-12 * longest).sum()),
     )
 
 
 def _cut(faces: Int[Any, "F 3"]) -> tuple[Int[Any, "F 3"], Int[Any, "V"]]:
-    """Faces of split vertices, in the file's order as far as there is one, and the vertex that each was.
+    """Split vertices until the mesh is manifold: the new faces, and the original of each new vertex.
 
-    The union-find of `split_nonmanifold` misses the cache at each face of an unordered file.
+    Vertices stay in the file's order, so later steps read memory in sequence.
     """
-    split, place = (np.asarray(found, np.int64) for found in igl.split_nonmanifold(faces))
-    order = np.argsort(place, kind="stable")
+    split_faces, origins = (np.asarray(array, np.int64) for array in igl.split_nonmanifold(faces))
+    order = np.argsort(origins, kind="stable")
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return rank[split], place[order]
+    return rank[split_faces], origins[order]
 
 
 def _doubled_ears(faces: Int[Any, "F 3"], same: Int[Any, "F"]) -> Bool[Any, "F"]:
-    """Pairs of faces with the same corners (`same` numbers them) that hang from a surface which is whole
-    without them.
+    """Pairs of faces with the same corners, attached to a surface that is whole without them.
 
-    Decimation leaves such ears, closed on themselves, at a vertex of valence two. A sheet whose back is
-    modelled is made of pairs too, but there a pair has pairs for neighbours: one of each stays.
+    `same` numbers the sets of corners. Decimation leaves such closed ears at a vertex of valence two. A sheet
+    modelled from both sides consists of pairs as well, but there a pair borders on other pairs; of each of
+    those, `repair` keeps one face.
     """
     pair = (np.bincount(same) == 2)[same]
     if not pair.any():
@@ -193,6 +201,6 @@ def _doubled_ears(faces: Int[Any, "F 3"], same: Int[Any, "F"]) -> Bool[Any, "F"]
     edge = edges_of(faces, int(faces.max()) + 1).of_faces
     size = int(edge.max()) + 1
     paired = np.bincount(edge[pair].reshape(-1), minlength=size)[edge]
-    others = np.bincount(edge[~pair].reshape(-1), minlength=size)[edge]
-    hanging = (others == 2).any(1) & ((others == 0) | (others == 2)).all(1)
-    return pair & hanging & (paired == 2).all(1)
+    single = np.bincount(edge[~pair].reshape(-1), minlength=size)[edge]  # faces at the edge without a twin
+    attached = (single == 2).any(1) & ((single == 0) | (single == 2)).all(1)
+    return pair & attached & (paired == 2).all(1)

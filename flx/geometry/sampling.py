@@ -29,10 +29,6 @@ def face_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float
     return normals / np.where(lengths > 0, lengths, 1.0)
 
 
-def face_areas(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
-    return np.linalg.norm(area_normals(vertices, faces), axis=1) / 2
-
-
 def texture_colors(image: UInt[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Float32[Any, "P 3"]:
     """Bilinear colours of a repeating texture at any real (u, v); v runs down."""
     height, width = image.shape[:2]

@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
-from flx.geometry.sampling import face_areas, surface_colors
+from flx.geometry.arrays import face_areas
+from flx.geometry.sampling import surface_colors
 from flx.types import Layer, Slot, SurfacePoints, TexturedMesh
 
 OFFSET = 1.0  # texels from the edge to either side; at half of it, what bilinear reading adds shows

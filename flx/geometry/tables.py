@@ -1,9 +1,9 @@
 """Gather tables of a triangulation: padded one-rings at two levels and the pooling between them.
 
 Geometry is computed in float64 (`exact_tables`) and rounded at the end to the float32 and complex64 that
-networks read (flx.types has the conventions). The tables are intrinsic, coarse level included: coarse
-vertices are farthest-point samples in the distance along mesh edges, and fine vertices go to the nearest of
-them in that distance, so that a thin wall keeps its two sides apart.
+networks read (flx.types has the conventions). Both levels are intrinsic: coarse vertices are farthest-point
+samples in the distance along mesh edges, and each fine vertex is assigned to the nearest of them in that
+distance, so the two sides of a thin wall are never pooled together.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from jaxtyping import Complex128, Float64, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from flx.geometry.tangent import TangentFrames, mean_vertex_radius, tangent_frames, transports, vertex_masses
+from flx.geometry.tangent import TangentFrames, tangent_frames, transports
 from flx.types import MeshTables, OneRings, Pooling, Triangulation
 
 
@@ -31,9 +31,9 @@ class _Forest(NamedTuple):
 def mesh_tables(
     triangulation: Triangulation, slots: int = 16, seed: int = 0, coarse_count: int | None = None
 ) -> MeshTables:
-    """Both levels of one mesh copy. The coarse one has V // 4 vertices unless told otherwise.
+    """Both levels of one mesh copy; by default the coarse one has V // 4 vertices.
 
-    Nothing is pooled across a gap: every connected component has at least one coarse vertex, so W is
+    Components are never pooled together: each has at least one coarse vertex, so W is
     max(coarse_count, components). `seed` chooses where the sampling of each component starts.
 
     Raises:
@@ -48,7 +48,7 @@ def mesh_tables(
 def exact_tables(
     triangulation: Triangulation, slots: int = 16, seed: int = 0, coarse_count: int | None = None
 ) -> MeshTables:
-    """`mesh_tables` before they are rounded, in float64 and complex128: what symmetries are measured on."""
+    """`mesh_tables` before rounding, in float64 and complex128, to test symmetries exactly."""
     count = len(triangulation.vertices)
     coarse_count = max(1, count // 4) if coarse_count is None else coarse_count
     if not 1 <= coarse_count <= count:
@@ -56,21 +56,20 @@ def exact_tables(
     frames = tangent_frames(triangulation)
     graph = _edge_graph(frames)
     forest = _shortest_paths(graph, frames, _farthest_points(graph, coarse_count, seed))
-    fine = one_rings(triangulation, frames, slots)
-    masses = vertex_masses(triangulation)
-    return MeshTables(fine, _pooling(forest, masses), _coarse_rings(triangulation, frames, forest, slots))
+    fine, coarse = one_rings(frames, slots), _coarse_rings(frames, forest, slots)
+    return MeshTables(fine, _pooling(forest, frames.masses), coarse)
 
 
-def one_rings(triangulation: Triangulation, frames: TangentFrames, slots: int = 16) -> OneRings:
-    """The padded one-rings of a triangulation, exact; K is the largest ring in it, itself included.
+def one_rings(frames: TangentFrames, slots: int = 16) -> OneRings:
+    """The padded one-rings in float64; K is the size of the largest ring, including the vertex itself.
 
     Raises:
       ValueError: a vertex has more neighbours than slots − 1.
     """
     p, place = np.nonzero(frames.neighbors >= 0)
-    logs = (frames.lengths * frames.directions)[p, place] / mean_vertex_radius(triangulation)
+    logs = (frames.lengths * frames.directions)[p, place] / frames.radius
     return _padded_rings(
-        vertex_masses(triangulation),
+        frames.masses,
         (p, place + 1, frames.neighbors[p, place], frames.reverse[p, place] + 1),
         logs,
         transports(frames)[p, place],
@@ -81,8 +80,8 @@ def one_rings(triangulation: Triangulation, frames: TangentFrames, slots: int = 
 def stack(tables: Sequence[MeshTables]) -> MeshTables:
     """Mesh copies on a leading axis, padded to the largest ring, cluster and vertex counts.
 
-    A spare vertex is its own and only neighbour and has mass 0; a spare fine vertex names coarse vertex 0 as
-    parent and is no one's child; a spare coarse vertex has fine vertex 0 as centre and weightless children.
+    A spare vertex has mass 0 and only itself as neighbour. A spare fine vertex has coarse vertex 0 as parent
+    but is not among its children; a spare coarse vertex has fine vertex 0 as centre and children of weight 0.
     """
     vertices = max(len(t.fine.masses) for t in tables)
     clusters = max(len(t.coarse.masses) for t in tables)
@@ -116,7 +115,10 @@ def _padded_rings(
     slots: int,
     level: str = "vertex",
 ) -> OneRings:
-    """Rings from directed edges (p, slot of q at p, q, slot of p at q); logs in mean vertex radii."""
+    """Rings from directed edges (p, slot of q at p, q, slot of p at q); logs are in mean vertex radii.
+
+    `level` names the vertices in errors.
+    """
     p, slot, q, reverse_slot = entries
     count = len(masses)
     width = 1 + int(slot.max(initial=0))
@@ -152,7 +154,7 @@ def _rounded(array: np.ndarray) -> np.ndarray:
 
 
 def _normalized(weights: np.ndarray) -> np.ndarray:
-    """Sum 1 along the last axis; all-zero rows (a vertex without faces) stay zero."""
+    """Scale to sum 1 along the last axis; all-zero rows (a vertex without faces) stay zero."""
     return weights / np.maximum(weights.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
 
 
@@ -160,9 +162,9 @@ def _normalized(weights: np.ndarray) -> np.ndarray:
 
 
 def _whole_lengths(frames: TangentFrames) -> Float64[Any, "V N"]:
-    """Edge lengths in whole 2⁻³⁰ of the mean one.
+    """Edge lengths rounded to whole multiples of 2⁻³⁰ times the mean length.
 
-    Sums of whole numbers are exact, so equal paths tie whatever motion or scale the mesh has been through.
+    Sums of whole numbers are exact, so equally long paths tie under any motion or scaling of the mesh.
     """
     used = frames.neighbors >= 0
     mean = frames.lengths.sum() / max(used.sum(), 1)
@@ -177,11 +179,12 @@ def _edge_graph(frames: TangentFrames) -> csr_array:
 
 
 def _farthest_points(graph: csr_array, count: int, seed: int) -> Int[Any, "W"]:
-    """Farthest-point samples in graph distance, many at a time; first one for each component.
+    """Farthest-point sampling in graph distance, many samples per round; it starts with one per component.
 
-    Each round takes vertices that are farther than two thirds of the largest distance from all taken so far
-    and from each other: no vertex ends farther from its centre than 1.5 times the centres' least spacing (the
-    textbook's one at a time: 1 times, but 2.7 s in Python at 30,000 vertices; this takes 0.3 s).
+    Each round takes vertices that are at least two thirds of the largest distance away from all samples so
+    far and from each other, so no vertex ends farther from its centre than 1.5 times the least spacing of the
+    centres. (One sample per round, as in textbooks, would give 1 time the spacing, but takes 2.7 s in Python
+    at 30,000 vertices; this takes 0.3 s.)
     """
     _, component = connected_components(graph, directed=False)
     order = np.random.default_rng(seed).permutation(len(component))
@@ -200,10 +203,10 @@ def _farthest_points(graph: csr_array, count: int, seed: int) -> Int[Any, "W"]:
 def _spaced(
     graph: csr_array, priority: Float64[Any, "V"], chosen: Int[Any, "N"], spacing: float
 ) -> Int[Any, "n"]:
-    """Drop chosen vertices that have a better one nearer than `spacing`, until none has.
+    """Drop chosen vertices that have another of higher priority nearer than `spacing`, until none has.
 
-    Only neighbouring Voronoi cells are compared: of two vertices too near each other, the first cell that
-    the path between them enters belongs to one at least as near.
+    It suffices to compare neighbouring Voronoi cells: if two chosen vertices are too close, the first cell
+    that the path between them enters belongs to a chosen vertex that is at least as close.
     """
     edges = graph.tocoo()
     a, b = edges.coords
@@ -224,7 +227,7 @@ def _spaced(
 
 
 def _shortest_paths(graph: csr_array, frames: TangentFrames, centers: Int[Any, "W"]) -> _Forest:
-    """Grow shortest-path trees from the centres and carry transports and logs down them."""
+    """Shortest-path trees from the centres, with transports and logs accumulated along them."""
     distances, before, nearest = dijkstra(graph, indices=centers, min_only=True, return_predecessors=True)
     parents = np.empty(len(distances), np.int64)
     parents[centers] = np.arange(len(centers))
@@ -269,13 +272,12 @@ def _pooling(forest: _Forest, masses: Float64[Any, "V"]) -> Pooling:
     )
 
 
-def _coarse_rings(
-    triangulation: Triangulation, frames: TangentFrames, forest: _Forest, slots: int
-) -> OneRings:
-    """Clusters that share a fine edge are neighbours, seen along one path for both directions.
+def _coarse_rings(frames: TangentFrames, forest: _Forest, slots: int) -> OneRings:
+    """Rings of the clusters: two are neighbours if a fine edge joins them; one path serves both directions.
 
-    The path of (p, q), p < q, crosses the shared edge ab that makes it shortest: p … a b … q. With the trees'
-    T and L it gives P_{p←q} = T_a P_{a←b} conj(T_b) and log_p q = L_a + T_a log_a b − P_{p←q} L_b.
+    The path of (p, q), p < q, crosses the edge ab that makes it shortest: p … a b … q. With T and L, the
+    transports and logs of the trees, P_{p←q} = T_a P_{a←b} conj(T_b) and
+    log_p q = L_a + T_a log_a b − P_{p←q} L_b.
     """
     a, place = np.nonzero(frames.neighbors >= 0)
     b = frames.neighbors[a, place]
@@ -301,9 +303,9 @@ def _coarse_rings(
     slot[order] = 1 + _rank_in_group(rows[order])
     scale = np.sqrt(len(forest.parents) / len(forest.centers))  # r̄ of the coarse level over r̄ of the fine
     return _padded_rings(
-        np.bincount(forest.parents, vertex_masses(triangulation), minlength=len(forest.centers)),
+        np.bincount(forest.parents, frames.masses, minlength=len(forest.centers)),
         (rows, slot, columns, np.roll(slot, len(p))),
-        np.concatenate([log, -transport.conj() * log]) / (mean_vertex_radius(triangulation) * scale),
+        np.concatenate([log, -transport.conj() * log]) / (frames.radius * scale),
         np.concatenate([transport, transport.conj()]),
         slots,
         "coarse vertex",

@@ -3,10 +3,10 @@
 Only edge lengths matter: a sheet folded along its edges has the geometry of the flat one. A tangent vector
 at p is a complex number in p's frame, whose x axis is the first edge of p's ordered one-ring; angles run
 counter-clockwise about the outward normal. Corner angles are summed in ring order and rescaled so that they
-add up to 2π at interior vertices; at the boundary they are left alone, so flat meshes stay flat.
+add up to 2π at interior vertices. At the boundary they are not rescaled, so flat meshes stay flat.
 
-Triangulations are manifold and oriented, open or closed, of any number of components; rings are ragged,
-padded here with -1 to the largest. Float64 throughout.
+Triangulations are manifold and oriented, open or closed, with any number of components. Rings differ in
+size; they are padded with -1 to the largest. Everything is float64.
 """
 
 from typing import Any, NamedTuple
@@ -14,41 +14,44 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int
 
+from flx.geometry.arrays import face_areas
 from flx.types import Triangulation
 
 
 class TangentFrames(NamedTuple):
-    """Every vertex's frame and the neighbours seen in it. N is the largest number of neighbours."""
+    """The frame of every vertex and its neighbours in that frame. N is the largest number of neighbours."""
 
     neighbors: Int[Any, "V N"]  # counter-clockwise, from one boundary edge to the other; spare: -1
-    reverse: Int[Any, "V N"]  # the place of p among the neighbours of its k-th neighbour; spare: k
+    reverse: Int[Any, "V N"]  # the index of p among the neighbours of its k-th neighbour; spare: k
     directions: Complex128[Any, "V N"]  # e^{iθ_p(q)}; spare: 1
     lengths: Float64[Any, "V N"]  # |pq| in the units of the mesh; spare: 0
     corner_angles: Float64[Any, "F 3"]  # flat, radians
     corner_starts: Float64[Any, "F 3"]  # θ of the edge that leaves corner i towards corner i + 1
     scales: Float64[Any, "V"]  # 2π / total angle at interior vertices, 1 at the boundary
     boundary: Bool[Any, "V"]
+    masses: Float64[Any, "V"]  # `vertex_masses`
+    radius: float  # `mean_vertex_radius`
 
 
 def vertex_masses(triangulation: Triangulation) -> Float64[Any, "V"]:
-    """A third of the area of the faces around each vertex, in the units of the mesh."""
-    thirds = np.repeat(_face_areas(triangulation) / 3, 3)
+    """A third of the area of the faces around each vertex, in squared units of the mesh."""
+    thirds = np.repeat(face_areas(*triangulation) / 3, 3)
     return np.bincount(triangulation.faces.ravel(), thirds, minlength=len(triangulation.vertices))
 
 
 def mean_vertex_radius(triangulation: Triangulation) -> float:
-    """r̄ = √(A / (π V)), the unit of every length: the radius of a disc of the mean vertex's area."""
-    return float(np.sqrt(_face_areas(triangulation).sum() / (np.pi * len(triangulation.vertices))))
+    """r̄ = √(A / (π V)), the radius of a disc of the mean area per vertex: our unit of length."""
+    return float(np.sqrt(face_areas(*triangulation).sum() / (np.pi * len(triangulation.vertices))))
 
 
 def tangent_frames(triangulation: Triangulation) -> TangentFrames:
-    """Order the one-rings and lay the rescaled corner angles along them.
+    """Order the one-rings and sum the rescaled corner angles along them.
 
-    A corner is c = 3 face + i, at vertex faces[face, i]. Turning counter-clockwise about its vertex, the next
-    corner is the one whose outgoing edge is this one's incoming edge, reversed; all vertices turn at once.
+    A corner is c = 3 face + i, at vertex faces[face, i]. Counter-clockwise around its vertex, the next corner
+    is the one whose outgoing edge is the reverse of this one's incoming edge. All vertices advance together.
 
     Raises:
-      ValueError: an edge is run through twice in one direction, or a vertex joins two fans of faces.
+      ValueError: two faces run along an edge in the same direction, or a vertex joins two fans of faces.
     """
     vertices, faces = triangulation.vertices, triangulation.faces.astype(np.int64)
     count = len(vertices)
@@ -107,11 +110,13 @@ def tangent_frames(triangulation: Triangulation) -> TangentFrames:
         corner_starts=(starts * scales[at]).reshape(-1, 3),
         scales=scales,
         boundary=boundary,
+        masses=vertex_masses(triangulation),
+        radius=mean_vertex_radius(triangulation),
     )
 
 
 def transports(frames: TangentFrames) -> Complex128[Any, "V N"]:
-    """P_{p←q} = e^{i(θ_p(q) + π − θ_q(p))}: the edge pq keeps its course through both frames. Spare: 1."""
+    """P_{p←q} = e^{i(θ_p(q) + π − θ_q(p))}: the edge pq has the same direction in both frames. Spare: 1."""
     seen_from_neighbor = frames.directions[frames.neighbors, frames.reverse]
     return np.where(frames.neighbors < 0, 1.0, -frames.directions * seen_from_neighbor.conj())
 
@@ -122,10 +127,10 @@ def corner_logs(
     faces: Int[Any, "P"],
     barycentrics: Float64[Any, "P 3"],
 ) -> Complex128[Any, "P 3"]:
-    """The log of each point from the three corners of its face, in mean vertex radii.
+    """The log of each point at the three corners of its face, in mean vertex radii.
 
-    Flat distance inside the face; the flat angle from the edge i → i+1 is scaled as the vertex's corners are,
-    so that logs agree along the edges between faces.
+    Distances are flat inside the face. The flat angle from the edge i → i+1 is rescaled like the corner
+    angles of the vertex, so that logs agree along the edges between faces.
     """
     corners = triangulation.faces[faces]
     points = triangulation.vertices[corners]
@@ -133,16 +138,11 @@ def corner_logs(
     flat = np.roll(barycentrics, -1, axis=1) * to_next  # corner i has edge i → i+1 along its x axis
     flat = flat + np.roll(barycentrics * to_next, -2, axis=1) * np.exp(1j * frames.corner_angles[faces])
     angle = frames.corner_starts[faces] + frames.scales[corners] * np.angle(flat)
-    return np.abs(flat) * np.exp(1j * angle) / mean_vertex_radius(triangulation)
-
-
-def _face_areas(triangulation: Triangulation) -> Float64[Any, "F"]:
-    a, b, c = triangulation.vertices[triangulation.faces.T]
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return np.abs(flat) * np.exp(1j * angle) / frames.radius
 
 
 def _corner_angles(triangulation: Triangulation) -> Float64[Any, "F 3"]:
-    """Angles from both sine and cosine: the arc cosine of edge lengths loses half the digits of slivers."""
+    """Angles from sine and cosine: in slivers, the arc cosine of edge lengths loses half of the digits."""
     points = triangulation.vertices[triangulation.faces]
     out, back = np.roll(points, -1, axis=1) - points, np.roll(points, -2, axis=1) - points
     return np.arctan2(np.linalg.norm(np.cross(out, back), axis=2), (out * back).sum(axis=2))
@@ -151,7 +151,7 @@ def _corner_angles(triangulation: Triangulation) -> Float64[Any, "F 3"]:
 def _following_corners(
     at: Int[Any, "C"], to: Int[Any, "C"], back: Int[Any, "C"], count: int
 ) -> Int[Any, "C"]:
-    """The next corner counter-clockwise about the same vertex; -1 where the boundary ends the fan."""
+    """The next corner counter-clockwise around the same vertex; -1 where the boundary ends the fan."""
     if not len(at):
         return at
     leaving, arriving = at * count + to, at * count + back
@@ -165,7 +165,7 @@ def _following_corners(
 
 
 def _reverse_places(neighbors: Int[Any, "V N"]) -> Int[Any, "V N"]:
-    """Sorted by (p, q) and by (q, p), the i-th edge of one order is the i-th of the other, reversed."""
+    """`TangentFrames.reverse`: the i-th edge sorted by (p, q) is the reverse of the i-th sorted by (q, p)."""
     count, width = neighbors.shape
     p, k = np.nonzero(neighbors >= 0)
     q = neighbors[p, k]

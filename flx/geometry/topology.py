@@ -1,4 +1,4 @@
-"""Edges of a mesh, the fans of faces about its vertices, and what of its topology remeshing keeps.
+"""Edges of a mesh, the fans of faces around its vertices, and the topological invariants of remeshing.
 
 Conventions: corner 3f + k is corner k of face f and stands for the edge opposite to it; faces are
 counter-clockwise.
@@ -15,13 +15,13 @@ from flx.geometry.arrays import chunks, length_of, sort_keys
 
 
 class Edges(NamedTuple):
-    """Edges of any triangles, sorted by `keys` = smaller vertex · V + larger vertex."""
+    """Edges of any triangles, manifold or not, sorted by `keys` = smaller vertex · V + larger vertex."""
 
     count: int  # V
     keys: Int[Any, "E"]
-    uses: Int[Any, "E"]  # faces at each edge
-    first: Int[Any, "E"]  # place of its first opposite corner in `corners`
-    corners: Int[Any, "C"]  # edge by edge, ascending for each
+    uses: Int[Any, "E"]  # number of faces at each edge
+    first: Int[Any, "E"]  # index in `corners` of each edge's first opposite corner
+    corners: Int[Any, "C"]  # opposite corners, edge by edge, ascending within an edge
 
     @property
     def ends(self) -> Int[Any, "E 2"]:
@@ -29,13 +29,13 @@ class Edges(NamedTuple):
 
     @property
     def inner(self) -> Int[Any, "N 2"]:
-        """The two corners opposite to each edge of two faces."""
+        """The two corners opposite to each edge that has two faces."""
         at = self.first[self.uses == 2]
         return np.stack([self.corners[at], self.corners[at + 1]], 1)
 
     @property
     def of_faces(self) -> Int[Any, "F 3"]:
-        """The edge opposite to each corner, by number."""
+        """The index of the edge opposite to each corner."""
         edges = np.empty(len(self.corners), np.int64)
         edges[self.corners] = np.repeat(np.arange(len(self.keys)), self.uses)
         return edges.reshape(-1, 3)
@@ -47,7 +47,7 @@ class Topology(NamedTuple):
     edges: Int[Any, "E 2"]
     keys: Int[Any, "E"]
     corners: Int[Any, "E 2"]  # opposite corners; the second is -1 at the boundary
-    face_edges: Int[Any, "F 3"]
+    face_edges: Int[Any, "F 3"]  # the edge opposite to each corner
 
     @property
     def boundary(self) -> Bool[Any, "E"]:
@@ -55,7 +55,7 @@ class Topology(NamedTuple):
 
 
 def edges_of(faces: Int[Any, "F 3"], count: int) -> Edges:
-    """Edges of triangles between `count` vertices, by one sort of their corners."""
+    """Edges of any triangles between `count` vertices, from one sort of the corners."""
     keys = np.empty(faces.shape, np.int64)
     for k in range(3):
         start, end = faces[:, k - 2], faces[:, k - 1]
@@ -67,9 +67,9 @@ def edges_of(faces: Int[Any, "F 3"], count: int) -> Edges:
 
 
 def topology(faces: Int[Any, "F 3"], count: int) -> Topology:
-    """Edges of a mesh of `count` vertices.
+    """Edges of a manifold mesh of `count` vertices.
 
-    Raises ValueError where an edge has more than two faces.
+    Raises ValueError if an edge has more than two faces.
     """
     edges = edges_of(faces, count)
     if edges.uses.max() > 2:
@@ -81,23 +81,26 @@ def topology(faces: Int[Any, "F 3"], count: int) -> Topology:
     return Topology(edges.ends, edges.keys, corners, edges.of_faces)
 
 
-def disagreeing(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
-    """At how many of the edges between these opposite corners both faces run the same way."""
-    after, before = _beside(inner)
+def count_disagreeing(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
+    """The number of edges whose two faces run along them in the same direction, so disagree in orientation.
+
+    `inner` holds the two opposite corners of each edge that has two faces.
+    """
+    after, before = _other_corners(inner)
     corner = faces.ravel()
     return int((corner[after[:, 0]] != corner[before[:, 1]]).sum())
 
 
-def fans(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
-    """How many fans of faces the vertices have, all together, where the faces at each edge agree.
+def count_fans(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
+    """The number of fans of faces, over all vertices, of a mesh whose faces agree in orientation.
 
-    `inner` are the opposite corners of edges between two faces. The corners of a fan follow each other about
-    their vertex, up to a boundary or round again; each learns in log₂ of the highest valence steps, twice as
-    far each time, whether it is the first of a round.
+    `inner` holds the two opposite corners of each edge that has two faces. The corners of a fan form a chain
+    (at a boundary) or a cycle around their vertex. Pointer doubling finds the first corner of each cycle in
+    log₂(highest valence) steps.
     """
-    none = faces.size  # follows the last corner before a boundary
-    kind = np.min_scalar_type(-3 * none - 3)  # half the memory: random access, mostly cache misses
-    after, before = _beside(inner.astype(kind))
+    none = faces.size  # successor of the last corner before a boundary
+    kind = np.min_scalar_type(-3 * none - 3)  # a small integer type: random access is bound by the cache
+    after, before = _other_corners(inner.astype(kind))
     following = np.full(none + 1, none, kind)
     following[before] = after[:, ::-1]
     corner = np.arange(none + 1, dtype=kind)
@@ -109,8 +112,8 @@ def fans(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
     return none - 2 * len(inner) + int((least == corner).sum())
 
 
-def _beside(corners):
-    """The corners after and before, in the same face."""
+def _other_corners(corners):
+    """The next and the previous corner in the same face."""
     face = corners // 3
     after = np.where(corners == 3 * face + 2, corners - 2, corners + 1)
     return after, 9 * face + 3 - corners - after
@@ -125,26 +128,26 @@ def edge_lengths(vertices: Float64[Any, "V 3"], topo: Topology) -> Float64[Any, 
 
 
 def find_edges(topo: Topology, count: int, a: Int[Any, "N"], b: Int[Any, "N"]) -> Int[Any, "N"]:
-    """The edges that join a and b, pair by pair; where none does, any."""
+    """The index of the edge between a and b, pair by pair; arbitrary where there is none (see `has_edge`)."""
     key = np.minimum(a, b) * count + np.maximum(a, b)
     return np.minimum(np.searchsorted(topo.keys, key), len(topo.keys) - 1)
 
 
 def has_edge(topo: Topology, count: int, a: Int[Any, "N"], b: Int[Any, "N"]) -> Bool[Any, "N"]:
-    """Whether an edge joins a and b, pair by pair."""
+    """Whether there is an edge between a and b, pair by pair."""
     key = np.minimum(a, b) * count + np.maximum(a, b)
     return topo.keys[find_edges(topo, count, a, b)] == key
 
 
 def mark(count: int, members: Int[Any, "..."]) -> Bool[Any, "V"]:
-    """A mask of `count` that is true at `members`."""
+    """A mask of length `count` that is true at the indices `members`."""
     marked = np.zeros(count, bool)
     marked[members] = True
     return marked
 
 
 def any_of(marked: Bool[Any, "V"], groups: Int[Any, "N K"]) -> Bool[Any, "N"]:
-    """Whether a member of each group is marked: column by column, ten times faster than NumPy's any(1)."""
+    """Whether any member of each group is marked; column by column, ten times faster than NumPy's any(1)."""
     return np.logical_or.reduce([np.take(marked, members) for members in groups.T])
 
 
@@ -154,34 +157,35 @@ def all_of(marked: Bool[Any, "V"], groups: Int[Any, "N K"]) -> Bool[Any, "N"]:
 
 
 def invariants(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> str:
-    """What remeshing keeps: components, Euler characteristic and boundary loops, in words.
+    """The topology that remeshing preserves, in words: components, Euler characteristic, boundary loops.
 
-    Raises ValueError unless every vertex has one fan, faces agree in orientation.
+    Raises ValueError unless the mesh is manifold, every vertex has one fan and faces agree in orientation.
     """
     count = len(vertices)
     if not len(faces) or faces.min() < 0 or faces.max() >= count:
         raise ValueError(f"{len(faces)} faces do not fit {count} vertices; check the face indices")
     topo = topology(faces, count)
     inner = topo.corners[~topo.boundary]
-    if wrong := disagreeing(faces, inner):
+    if wrong := count_disagreeing(faces, inner):
         raise ValueError(f"{wrong} edges join opposite orientations; orient the faces")
-    if (found := fans(faces, inner)) != count:
+    if (fans := count_fans(faces, inner)) != count:
         raise ValueError(
-            f"{count} vertices have {found} fans of faces; split or drop vertices until each has one"
+            f"{count} vertices have {fans} fans of faces; split or drop vertices until each has one"
         )
     rim = topo.edges[topo.boundary]
     return (
-        f"{pieces(topo.edges, count)[0]} components, Euler characteristic "
+        f"{label_components(topo.edges, count)[0]} components, Euler characteristic "
         f"{count - len(topo.edges) + len(faces)}, {boundary_loops(rim, count)} boundary loops"
     )
 
 
-def pieces(edges: Int[Any, "E 2"], count: int) -> tuple[int, Int[Any, "V"]]:
-    """How many pieces edges leave of so many vertices, and the piece of each."""
+def label_components(edges: Int[Any, "E 2"], count: int) -> tuple[int, Int[Any, "V"]]:
+    """Connected components of the graph of `count` vertices: their number, and the one of each vertex."""
     graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (count, count))
     return connected_components(graph, directed=False)
 
 
 def boundary_loops(rim: Int[Any, "N 2"], count: int) -> int:
-    """How many loops boundary edges make. Each of `count` vertices that has none is a piece of its own."""
-    return pieces(rim, count)[0] - (count - int(mark(count, rim).sum()))
+    """The number of loops that boundary edges `rim` form, in a mesh of `count` vertices."""
+    isolated = count - int(mark(count, rim).sum())  # vertices off the boundary are components of their own
+    return label_components(rim, count)[0] - isolated

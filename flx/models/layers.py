@@ -1,4 +1,4 @@
-"""The layers that both models share: parameters around the equations of `flx.fields.algebra`."""
+"""Layers that the codec and the denoiser share: Flax modules around the equations of `flx.fields.algebra`."""
 
 from typing import NamedTuple
 
@@ -8,19 +8,19 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Complex, Float
 
+from flx.config import Precision
 from flx.fields import algebra
-from flx.fields.algebra import Precision
 
 
 class Posterior(NamedTuple):
-    """Isotropic Gaussians in the tangent plane: a vector mean, a scalar deviation per real coordinate."""
+    """Isotropic Gaussians in the tangent plane: a vector mean, and one σ for both real coordinates."""
 
     mean: Complex[Array, "*B D"]
     log_sigma: Float[Array, "*B D"]
 
     @classmethod
     def starting_small(cls, mean: Complex[Array, "*B D"], log_sigma: Float[Array, "*B D"]) -> "Posterior":
-        """Untrained heads give 0: σ = e⁻³, so that the first codes are not drowned in their own noise."""
+        """Shift log σ by −3: untrained heads give 0, and with σ = 1 noise would drown the first codes."""
         return cls(mean, log_sigma - 3.0)
 
     def sample(self, key: Array) -> Complex[Array, "*B D"]:
@@ -29,12 +29,12 @@ class Posterior(NamedTuple):
 
 
 def complex_initializer(key: Array, shape: tuple[int, ...], dtype: type = jnp.float32) -> Array:
-    """(re, im) pairs of normal numbers with E|w|² = 1/fan_in: the second moment of a vector is kept."""
+    """Normal (re, im) pairs with E|w|² = 1/fan_in, which preserves the second moment of a vector."""
     return jax.random.normal(key, shape, dtype) / jnp.sqrt(2.0 * shape[-2])
 
 
 class ComplexDense(nn.Module):
-    """A complex linear map without bias: one parameter, (re, im) pairs [2, C, features]."""
+    """A complex linear map without bias; the parameter holds (re, im) pairs [2, C, features]."""
 
     features: int
     precision: Precision = "float32"
@@ -47,7 +47,7 @@ class ComplexDense(nn.Module):
 
 
 class PairsDense(nn.Module):
-    """`ComplexDense` of pairs [V, 2C], the real parts before the imaginary ones."""
+    """`ComplexDense` on pairs [V, 2C], the real parts before the imaginary ones."""
 
     features: int
     precision: Precision = "float32"
@@ -60,7 +60,7 @@ class PairsDense(nn.Module):
 
 
 class RealDense(nn.Module):
-    """A real linear map with bias; `start` scales its first weights."""
+    """A real linear map with bias; `start` scales the initial weights."""
 
     features: int
     precision: Precision = "float32"
@@ -68,15 +68,15 @@ class RealDense(nn.Module):
 
     @nn.compact
     def __call__(self, x: Float[Array, "*V C"]) -> Float[Array, "*V D"]:
-        first = nn.initializers.variance_scaling(self.start**2, "fan_in", "truncated_normal")
-        kernel = self.param("kernel", first, (x.shape[-1], self.features))
-        black_is_not_nothing = nn.initializers.normal(0.1 * self.start)
-        bias = self.param("bias", black_is_not_nothing, (self.features,))
+        initializer = nn.initializers.variance_scaling(self.start**2, "fan_in", "truncated_normal")
+        kernel = self.param("kernel", initializer, (x.shape[-1], self.features))
+        # Not zeros: a black colour, which is zero, must not give a zero feature.
+        bias = self.param("bias", nn.initializers.normal(0.1 * self.start), (self.features,))
         return algebra.dense(x, kernel, self.precision) + bias
 
 
 class RealMLP(nn.Module):
-    """Real dense layers with SiLU between them and none after the last; `start` scales the last one's."""
+    """Real dense layers with SiLU between them; `start` scales the initial weights of the last."""
 
     widths: tuple[int, ...]
     precision: Precision = "float32"
@@ -91,7 +91,7 @@ class RealMLP(nn.Module):
 
 
 class VNLayer(nn.Module):
-    """Two complex linear maps Q, K (one matrix product) and the VN nonlinearity."""
+    """The VN nonlinearity of two complex linear maps Q and K, computed as one matrix product."""
 
     features: int
     precision: Precision = "float32"
@@ -103,13 +103,13 @@ class VNLayer(nn.Module):
 
 
 def unit_scale(key: Array, shape: tuple[int, ...]) -> Array:
-    """The complex number 1 in every channel, as (re, im) pairs [2, C]."""
+    """Initialise to the complex number 1 in every channel, as (re, im) pairs [2, C]."""
     del key
     return jnp.stack([jnp.ones(shape[1:]), jnp.zeros(shape[1:])])
 
 
 class FieldNorm(nn.Module):
-    """Filter response normalisation over the surface: learnt a ∈ ℂ and δ > 0 for each channel."""
+    """Filter response normalisation over the surface, with learned a ∈ ℂ and δ > 0 per channel."""
 
     @nn.compact
     def __call__(self, x: Complex[Array, "V C"], masses: Float[Array, "V"]) -> Complex[Array, "V C"]:
@@ -119,7 +119,7 @@ class FieldNorm(nn.Module):
 
 
 class TokenNorm(nn.Module):
-    """Normalisation of each token by itself."""
+    """Normalisation of each token over its own channels, with a learned complex scale."""
 
     @nn.compact
     def __call__(self, x: Complex[Array, "*V C"]) -> Complex[Array, "*V C"]:
@@ -127,7 +127,7 @@ class TokenNorm(nn.Module):
 
 
 def timestep_features(t: Float[Array, ""], width: int) -> Float[Array, "width"]:
-    """Cosines and sines of t at `width`/2 frequencies from 1 to 10⁻⁴ (Vaswani et al.)."""
+    """Cosines and sines of t at `width`/2 frequencies from 1 to 10⁻⁴ (Vaswani et al. 2017)."""
     half = width // 2
     frequencies = jnp.exp(-jnp.log(1e4) * jnp.arange(half) / (half - 1))
     return jnp.concatenate([jnp.cos(t * frequencies), jnp.sin(t * frequencies)])

@@ -1,9 +1,9 @@
-"""Planar meshes laid over images, made as they are needed: what the field-latent VAE is trained on.
+"""Training data of the field-latent VAE: planar meshes placed on images, batch by batch.
 
 A bank of patches (neighbouring vertices of a random triangulation, points of their one-rings, and points of
-the faces between them) is built once, by the functions that sample real meshes. A batch lays some of them on
-images, each at its own scale, direction and stretch, and exchanges the colours of half of them. It is made
-by one compiled function, on the device that trains.
+the faces between them) is built once, with the functions that sample real meshes. Each batch places some of
+them on images, with random scale, direction and stretch, and recolours half of them. One compiled function
+makes it, on the device that trains.
 """
 
 import hashlib
@@ -24,23 +24,23 @@ from flx.geometry.arrays import area_normals, length_of
 from flx.geometry.copies import points_in_rings, queries_at
 from flx.geometry.remesh.planar import planar
 from flx.geometry.sampling import positions
-from flx.geometry.tangent import TangentFrames, mean_vertex_radius, tangent_frames
+from flx.geometry.tangent import TangentFrames, tangent_frames
 from flx.pipeline.printed_pages import printed_pages
 from flx.types import Queries, RingSamples, SurfacePoints, Triangulation
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
-SIDE = 512  # pixels of an image
-VERTICES = 24  # of a patch
-SHEETS, SHEET_VERTICES, PATCHES = 24, 600, 64  # triangulations of the bank, their vertices, patches of each
+IMAGE_SIDE = 512  # side of an image in pixels
+PATCH_VERTICES = 24  # vertices of a patch
+SHEETS, SHEET_VERTICES, PATCHES = 24, 600, 64  # triangulations of the bank; vertices and patches of each
 
 
 # --- images
 
 
 def load_images(folder: Path) -> UInt8[Any, "N 512 512 3"]:
-    """Every image below the folder as a centred crop of 512² pixels.
+    """Every image in the folder and its subfolders, as a centred crop of 512² pixels.
 
-    Raises ValueError where the folder holds no image.
+    Raises ValueError if there is none.
     """
     paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
     if not paths:
@@ -50,8 +50,8 @@ def load_images(folder: Path) -> UInt8[Any, "N 512 512 3"]:
     return np.stack([centred_crop(Image.open(path)) for path in paths])
 
 
-def centred_crop(image: Image.Image, size: int = SIDE) -> UInt8[Any, "512 512 3"]:
-    """The middle of the image; one that is too small is enlarged first."""
+def centred_crop(image: Image.Image, size: int = IMAGE_SIDE) -> UInt8[Any, "512 512 3"]:
+    """The central square of the image in RGB; an image that is too small is enlarged first."""
     image = image.convert("RGB")
     scale = size / min(image.size)
     if scale > 1:
@@ -65,23 +65,23 @@ def centred_crop(image: Image.Image, size: int = SIDE) -> UInt8[Any, "512 512 3"
 
 
 class Patches(NamedTuple):
-    """Parts of planar meshes. Places are where points lie in the plane, in mean vertex radii."""
+    """Parts of planar meshes. Places are positions in the plane, in mean vertex radii."""
 
-    logs: Complex64[Any, "B K S"]  # of the points of each vertex's one-ring
-    places: Complex64[Any, "B K S"]
-    queries: Queries  # [B, Q, …] in the faces between the patch's vertices, which they number from 0
+    logs: Complex64[Any, "B K S"]  # of sample points in the one-ring of each vertex
+    places: Complex64[Any, "B K S"]  # of the same points
+    queries: Queries  # [B, Q, …] in the faces between the patch's vertices, which are numbered from 0
     query_places: Complex64[Any, "B Q"]
 
 
 def bank_of_patches(samples: int, queries: int, seed: int) -> Patches:
-    """Patches of triangulations from even to wholly random."""
+    """Patches of planar triangulations, from nearly regular to highly irregular ones."""
     rng = np.random.default_rng(seed)
     bank = []
     for irregularity in np.linspace(0, 0.7, SHEETS):
         sheet = planar(SHEET_VERTICES, (1.0, 1.0), rng, irregularity)
         points, logs = points_in_rings(sheet, samples, rng)
-        places = _places(sheet, points).reshape(logs.shape)
         frames = tangent_frames(sheet)
+        places = _places(sheet, points, frames.radius).reshape(logs.shape)
         for center in rng.choice(SHEET_VERTICES, PATCHES, replace=False):
             bank.append(_patch(sheet, frames, int(center), logs, places, queries, rng))
     return jax.tree.map(lambda *parts: np.stack(parts), *bank)
@@ -96,20 +96,20 @@ def _patch(
     queries: int,
     rng: np.random.Generator,
 ) -> Patches:
-    """The vertices nearest to one of them, and points uniform in the faces that lie wholly between them."""
+    """The vertices nearest to `center`, and uniform points in the faces whose corners are all among them."""
     distances = np.linalg.norm(sheet.vertices - sheet.vertices[center], axis=1)
-    chosen = np.argsort(distances)[:VERTICES]
+    chosen = np.argsort(distances)[:PATCH_VERTICES]
     numbers = np.full(len(distances), -1, np.int32)
-    numbers[chosen] = np.arange(VERTICES)
+    numbers[chosen] = np.arange(PATCH_VERTICES)
     between = np.flatnonzero((numbers[sheet.faces] >= 0).all(1))
     points = _points_in_faces(sheet, between, queries, rng)
-    asked = queries_at(points, sheet, frames)
+    in_patch = queries_at(points, sheet, frames)
     origin = places[center].mean()
     return Patches(
         logs[chosen],
         (places[chosen] - origin).astype(np.complex64),
-        asked._replace(vertices=numbers[asked.vertices]),
-        (_places(sheet, points) - origin).astype(np.complex64),
+        in_patch._replace(vertices=numbers[in_patch.vertices]),
+        (_places(sheet, points, frames.radius) - origin).astype(np.complex64),
     )
 
 
@@ -120,46 +120,46 @@ def _points_in_faces(sheet: Triangulation, faces: Any, count: int, rng: np.rando
     return SurfacePoints(picked, rng.dirichlet(np.ones(3), count))
 
 
-def _places(sheet: Triangulation, points: SurfacePoints) -> Any:
+def _places(sheet: Triangulation, points: SurfacePoints, radius: float) -> Any:
     where = positions(sheet.vertices, sheet.faces, points)
-    return (where[:, 0] + 1j * where[:, 1]) / mean_vertex_radius(sheet)
+    return (where[:, 0] + 1j * where[:, 1]) / radius
 
 
 # --- batches
 
 
 class PatchBatch(NamedTuple):
-    """Patches with their colours, as one mesh of many parts."""
+    """Patches with their colours, as one mesh with many components."""
 
     rings: RingSamples  # [V, S]
     queries: Queries  # [P, 3]
     colors: Float[Any, "P 3"]  # at the queries
 
 
-class Lay(NamedTuple):
-    """How points of the plane come to lie on images, and what becomes of the colours found there."""
+class Placement(NamedTuple):
+    """Where patches lie on images, and how their colours change (`_recolored`)."""
 
     image: Int[Array, "B"]
-    scale: Float[Array, "B"]  # pixels in a mean vertex radius
-    turn: Complex[Array, "B"]
-    stretch: Float[Array, "B"]  # along `grain`, and its inverse across: areas stay
-    grain: Complex[Array, "B"]
-    corner: Float[Array, "B 2"]  # where on the image, from 0 to 1 of the room there is
-    channels: Int[Array, "B 3"]
+    scale: Float[Array, "B"]  # pixels per mean vertex radius
+    turn: Complex[Array, "B"]  # rotation
+    stretch: Float[Array, "B"]  # factor along `grain`, and its inverse across: areas are preserved
+    grain: Complex[Array, "B"]  # unit direction
+    corner: Float[Array, "B 2"]  # position on the image, from 0 to 1 of the free range
+    channels: Int[Array, "B 3"]  # permutation of RGB
     contrast: Float[Array, "B"]
     target: Float[Array, "B 3"]  # added to the mean colour
-    painted: Float[Array, "B"]  # 1 where colours are exchanged, else 0
+    painted: Float[Array, "B"]  # 1 for a recoloured patch, else 0
 
 
-def random_lay(key: Array, count: int, images: int, config: Images) -> Lay:
-    """Half keep the photograph's colours; the others get the range of print and paint: channels exchanged,
-    contrast up to ×3 and also negative, about a random level; what leaves [0, 1] is clipped there."""
+def random_placement(key: Array, count: int, images: int, config: Images) -> Placement:
+    """Random placements. Half of them keep the photograph's colours; the others get the range of print and
+    paint: channels permuted, contrast up to ×3 and also negative, the mean shifted, and clipped to [0, 1]."""
     keys = iter(jax.random.split(key, 11))
 
     def uniform(low: float, high: float, *shape: int) -> Array:
         return jax.random.uniform(next(keys), (count, *shape), minval=low, maxval=high)
 
-    return Lay(
+    return Placement(
         image=jax.random.randint(next(keys), (count,), 0, images),
         scale=jnp.exp(uniform(math.log(config.smallest), math.log(config.largest))),
         turn=jnp.exp(1j * uniform(0.0, 2 * np.pi)),
@@ -174,35 +174,40 @@ def random_lay(key: Array, count: int, images: int, config: Images) -> Lay:
 
 
 def colors_at(
-    images: UInt8[Array, "N H W 3"], lay: Lay, *places: Complex[Array, "B ..."]
+    images: UInt8[Array, "N H W 3"], placement: Placement, *places: Complex[Array, "B ..."]
 ) -> tuple[Float[Array, "B ... 3"], ...]:
-    """Colours in [0, 1] of each patch's places, laid on its image. The first places set reach and level."""
-    found = [_pixels(lay, where) for where in places]
-    room = jnp.array([images.shape[2], images.shape[1]]) - 1.0
-    reach = jnp.max(jnp.abs(found[0]), axis=tuple(range(1, found[0].ndim)))
-    reach = jnp.minimum(reach[:, None], room / 2 - 1)
-    x, y = (reach + (room - 2 * reach) * lay.corner).T
-    read = [bilinear(images, lay.image, _like(x, p) + p.real, _like(y, p) + p.imag) for p in found]
+    """Colours in [0, 1] at each patch's places on its image.
+
+    The first `places` determine the extent of a patch, which must fit the image, and its mean colour.
+    """
+    pixels = [_pixels(placement, where) for where in places]
+    size = jnp.array([images.shape[2], images.shape[1]]) - 1.0
+    extent = jnp.max(jnp.abs(pixels[0]), axis=tuple(range(1, pixels[0].ndim)))
+    extent = jnp.minimum(extent[:, None], size / 2 - 1)
+    x, y = (extent + (size - 2 * extent) * placement.corner).T
+    read = [bilinear(images, placement.image, _like(x, p) + p.real, _like(y, p) + p.imag) for p in pixels]
     level = jnp.mean(read[0], axis=tuple(range(1, read[0].ndim)))
-    return tuple(_recolored(lay, level, colors) for colors in read)
+    return tuple(_recolored(placement, level, colors) for colors in read)
 
 
-def _pixels(lay: Lay, places: Complex[Array, "B *P"]) -> Complex[Array, "B *P"]:
-    along = places * _like(jnp.conj(lay.grain), places)
-    stretch = _like(lay.stretch, places)
+def _pixels(placement: Placement, places: Complex[Array, "B *P"]) -> Complex[Array, "B *P"]:
+    along = places * _like(jnp.conj(placement.grain), places)
+    stretch = _like(placement.stretch, places)
     squeezed = jax.lax.complex(along.real * stretch, along.imag / stretch)
-    return squeezed * _like(lay.grain * lay.turn * lay.scale, places)
+    return squeezed * _like(placement.grain * placement.turn * placement.scale, places)
 
 
-def _recolored(lay: Lay, level: Float[Array, "B"], colors: Float[Array, "B *P 3"]) -> Float[Array, "B *P 3"]:
-    mixed = jnp.take_along_axis(colors, _like(lay.channels, colors), -1)
-    target = jnp.clip(level[:, None] + lay.target, 0, 1)
-    new = _like(target, colors) + _like(lay.contrast, colors) * (mixed - _like(level, colors))
-    return jnp.where(_like(lay.painted, colors) > 0, jnp.clip(new, 0, 1), colors)
+def _recolored(
+    placement: Placement, level: Float[Array, "B"], colors: Float[Array, "B *P 3"]
+) -> Float[Array, "B *P 3"]:
+    mixed = jnp.take_along_axis(colors, _like(placement.channels, colors), -1)
+    target = jnp.clip(level[:, None] + placement.target, 0, 1)
+    new = _like(target, colors) + _like(placement.contrast, colors) * (mixed - _like(level, colors))
+    return jnp.where(_like(placement.painted, colors) > 0, jnp.clip(new, 0, 1), colors)
 
 
 def _like(x: Array, y: Array) -> Array:
-    """One value (or colour) of each patch beside an array of its points."""
+    """One value (or colour) per patch, reshaped to broadcast against an array of its points."""
     middle = (1,) * (y.ndim - x.ndim)
     return x.reshape(x.shape[:1] + middle + x.shape[1:])
 
@@ -210,7 +215,7 @@ def _like(x: Array, y: Array) -> Array:
 def bilinear(
     images: UInt8[Array, "N H W 3"], image: Int[Array, "B"], x: Float[Array, "B *P"], y: Float[Array, "B *P"]
 ) -> Float[Array, "B *P 3"]:
-    """Colours in [0, 1] at pixel positions inside each patch's image, clamped at its border."""
+    """Colours in [0, 1] at pixel positions in each patch's image, clamped at its border."""
     height, width = images.shape[1:3]
     x, y = jnp.clip(x, 0, width - 1.001), jnp.clip(y, 0, height - 1.001)
     column, row, which = x.astype(jnp.int32), y.astype(jnp.int32), _like(image, x)
@@ -225,7 +230,7 @@ def bilinear(
 
 
 def one_mesh(patches: Patches, ring_colors: Array, query_colors: Array) -> PatchBatch:
-    """The patches side by side: each numbers its vertices after those of the patches before it."""
+    """The patches as one mesh: the vertices of each are numbered after those of the patches before it."""
     count, vertices = patches.logs.shape[:2]
     first = vertices * jnp.arange(count, dtype=jnp.int32)[:, None, None]
     queries = patches.queries._replace(vertices=patches.queries.vertices + first)
@@ -234,27 +239,27 @@ def one_mesh(patches: Patches, ring_colors: Array, query_colors: Array) -> Patch
 
 
 class ImagePatches:
-    """Batches of patches over images of a folder and printed pages; batch `step` is always the same."""
+    """Batches of patches on the images of a folder and on printed pages; batch `step` is always the same."""
 
     def __init__(self, config: Images, model: FLVAE, batch: int) -> None:
         images: Any = load_images(Path(config.folder))
-        prints = printed_pages(round(config.prints * len(images)), SIDE, config.seed)
+        prints = printed_pages(round(config.prints * len(images)), IMAGE_SIDE, config.seed)
         images = np.concatenate([images, prints]) if len(prints) else images
         self.digest = hashlib.sha256(images).hexdigest()
         self.config, self.batch = config, batch
         self.images = jnp.asarray(images)
-        bank = bank_of_patches(model.samples, config.queries * VERTICES, config.seed)
+        bank = bank_of_patches(model.samples, config.queries * PATCH_VERTICES, config.seed)
         self.bank: Patches = jax.tree.map(jnp.asarray, bank)
 
     def __call__(self, step: int) -> PatchBatch:
         return _batch(self.bank, self.images, self.key(step), self.batch, self.config)
 
-    def lay(self, step: int) -> Lay:
-        """Where batch `step` lies, for who reads other points there."""
-        return random_lay(self.key(step), self.batch, len(self.images), self.config)
+    def placement(self, step: int) -> Placement:
+        """The placements of batch `step`, for callers that read colours at other points."""
+        return random_placement(self.key(step), self.batch, len(self.images), self.config)
 
     def key(self, step: int) -> Array:
-        """The randomness of batch `step`."""
+        """The random key of batch `step`."""
         return jax.random.fold_in(jax.random.key(self.config.seed), step)
 
 
@@ -262,11 +267,11 @@ class ImagePatches:
 def _batch(bank: Patches, images: Array, key: Array, count: int, config: Images) -> PatchBatch:
     chosen = jax.random.randint(jax.random.fold_in(key, 1), (count,), 0, len(bank.logs))
     patches = jax.tree.map(lambda a: a[chosen], bank)
-    lay = random_lay(key, count, len(images), config)
-    return one_mesh(patches, *colors_at(images, lay, patches.places, patches.query_places))
+    placement = random_placement(key, count, len(images), config)
+    return one_mesh(patches, *colors_at(images, placement, patches.places, patches.query_places))
 
 
 def first_rings(patches: ImagePatches, start: int = 0, count: int = 16_384) -> RingSamples:
-    """At least `count` one-rings of the batches from `start` on: what principal components are taken from."""
-    batches = range(start, start - (-count // (patches.batch * VERTICES)))
+    """At least `count` one-rings of the batches from `start` on, to fit principal components to."""
+    batches = range(start, start - (-count // (patches.batch * PATCH_VERTICES)))
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(patches(step).rings for step in batches))

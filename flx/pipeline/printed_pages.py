@@ -1,4 +1,4 @@
-"""Pages of flat colours, hard edges and letters: what packages and signs have and photographs lack."""
+"""Random pages of flat colours, hard edges and letters, as on packages and signs; photographs have few."""
 
 import string
 from typing import Any
@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-FINER = 2  # drawn so many times larger: smooth rims
-MARKS = 60  # on a page
+SUPERSAMPLING = 2  # pages are drawn this many times larger, then averaged, for smooth edges
+MARKS = 60  # shapes and words per page
 
 
 def printed_pages(count: int, side: int, seed: int) -> UInt8[Any, "N H W 3"]:
-    """Random pages of side² pixels, the same for a seed."""
-    pages = [_page(np.random.default_rng([seed, k]), side * FINER) for k in range(count)]
+    """Random pages of side² pixels; the same seed gives the same pages."""
+    pages = [_page(np.random.default_rng([seed, k]), side * SUPERSAMPLING) for k in range(count)]
     return np.stack([np.asarray(page.resize((side, side), Image.Resampling.BOX)) for page in pages])
 
 
@@ -43,7 +43,7 @@ def _page(rng: np.random.Generator, side: int) -> Image.Image:
 
 
 def _ink(rng: np.random.Generator) -> tuple[int, int, int]:
-    """Near-black, near-white or any colour."""
+    """A random colour: nearly black, nearly white, or any."""
     levels = [rng.uniform(0, 0.15), rng.uniform(0.85, 1)][rng.integers(2)] + rng.normal(0, 0.02, 3)
     color = levels if rng.random() < 0.4 else rng.random(3)
     red, green, blue = np.rint(255 * np.clip(color, 0, 1)).astype(int)

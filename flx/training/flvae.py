@@ -9,7 +9,7 @@ from flx.config import FLVAEExperiment
 from flx.models.codec import frame
 from flx.models.codec.vae import FieldLatentVAE, check, flvae_loss
 from flx.pipeline.codec import Codec, initial_params, save_codec
-from flx.pipeline.patches import VERTICES, ImagePatches, PatchBatch, first_rings
+from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, PatchBatch, first_rings
 from flx.training.loop import LossFn, train
 from flx.training.run import Run, open_run
 
@@ -24,7 +24,7 @@ def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     )
     card = {
         "steps": str(experiment.train.steps),
-        "rings": str(experiment.train.steps * experiment.train.batch * VERTICES),
+        "rings": str(experiment.train.steps * experiment.train.batch * PATCH_VERTICES),
         "images": str(len(patches.images)),
         "kl_weight": str(experiment.kl_weight),
     }

@@ -51,7 +51,7 @@ def images(tmp_path_factory) -> ImagePatches:
         picture = (255 * (picture - picture.min()) / np.ptp(picture)).astype(np.uint8)
         Image.fromarray(picture).save(folder / f"{k}.png")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(baselines, "RINGS", 1024)
+        patch.setattr(baselines, "FITTED_RINGS", 1024)
         patch.setattr(baselines, "GRID", 11)
         yield baselines.open_images(folder)
 
@@ -80,7 +80,7 @@ def test_encoding_gives_back_the_coefficients_of_a_component(images):
     logs = seen.rings.logs[:20]
     mean, patches = baselines._at(fitted, logs.ravel())
     rings = RingSamples(logs, np.asarray(mean + patches @ wanted, np.float32).reshape(*logs.shape, 3))
-    found = np.asarray(baselines.encode(fitted._replace(noise=1e-6), rings))
+    found = np.asarray(baselines.encode_components(fitted._replace(noise=1e-6), rings))
     np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), atol=2e-2)
 
 

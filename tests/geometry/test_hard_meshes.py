@@ -135,7 +135,7 @@ def test_rings_of_any_valence_close_or_stay_open(valence, closed, height, seed):
     faces = np.stack([np.zeros(valence, np.int64), spokes, np.roll(spokes, -1)], 1)
     cone = Triangulation(points, faces if closed else faces[:-1])
     frames = tangent_frames(cone)
-    rings = one_rings(cone, frames, slots=valence + 1)
+    rings = one_rings(frames, slots=valence + 1)
     assert (rings.neighbors[0, 1:] == spokes).all()
     logs = rings.logs[0, 1:].astype(complex)
     radius = np.sqrt(1 + height**2) / mean_vertex_radius(cone)
@@ -148,7 +148,7 @@ def test_rings_of_any_valence_close_or_stay_open(valence, closed, height, seed):
     with pytest.raises(
         ValueError, match=f"vertex 0 has {valence} neighbours but the table has {valence} slots"
     ):
-        one_rings(cone, frames, slots=valence)
+        one_rings(frames, slots=valence)
 
 
 def test_a_rough_surface_has_no_sharp_corners():

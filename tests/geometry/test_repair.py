@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
 from flx.geometry.arrays import distinct_rows
-from flx.geometry.repair import WELD_TOLERANCE, repair, shape, weld
+from flx.geometry.repair import WELD_TOLERANCE, repair, topology_counts, weld
 
 
 def assert_manifold(vertices: np.ndarray, faces: np.ndarray) -> None:
@@ -41,7 +41,7 @@ def test_weld_joins_what_a_soup_of_triangles_took_apart(count, seed):
     jitter = np.random.default_rng(seed).uniform(-1, 1, split_points.shape) * 1e-11
     fixed = repair(split_points + jitter, split_faces)
     assert len(fixed.vertices) == count and fixed.repairs.welded_vertices == 3 * len(faces) - count
-    found = shape(fixed.vertices, fixed.faces)
+    found = topology_counts(fixed.vertices, fixed.faces)
     assert (found.components, found.boundary_edges, found.boundary_loops, found.euler) == (1, 0, 0, 2)
     assert corners_agree(split_points, split_faces, fixed)
     assert_manifold(fixed.vertices, fixed.faces)
@@ -124,7 +124,7 @@ def test_a_bow_tie_vertex_becomes_two():
     points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [-1, 0, 0], [-1, -1, 0.0]])
     fixed = repair(points, np.array([[0, 1, 2], [0, 3, 4]]))
     assert (fixed.repairs.split_vertices, fixed.repairs.nonmanifold_edges) == (1, 0)
-    assert shape(fixed.vertices, fixed.faces)[:4] == (2, 6, 2, 2)
+    assert topology_counts(fixed.vertices, fixed.faces)[:4] == (2, 6, 2, 2)
     assert_manifold(fixed.vertices, fixed.faces)
 
 
@@ -165,7 +165,7 @@ def test_vertices_are_split_exactly_where_libigl_splits_any(faces):
         fixed = repair(np.random.default_rng(0).normal(size=(count, 3)), faces)
     assert asked.called == (len(place) > count)
     assert len(fixed.vertices) == len(place) == count + fixed.repairs.split_vertices
-    assert fixed.shape == shape(fixed.vertices, fixed.faces)
+    assert fixed.topology == topology_counts(fixed.vertices, fixed.faces)
     assert_manifold(fixed.vertices, fixed.faces)
 
 
@@ -186,7 +186,7 @@ def test_a_sheet_with_a_back_keeps_one_side():
     fixed = repair(grid, np.concatenate([front, front[:, ::-1]]))
     assert fixed.repairs.duplicate_faces == len(front) and fixed.repairs.ear_faces == 0
     assert np.array_equal(fixed.faces, front)
-    assert shape(fixed.vertices, fixed.faces)[:4] == (1, 12, 1, 1)
+    assert topology_counts(fixed.vertices, fixed.faces)[:4] == (1, 12, 1, 1)
 
 
 def test_nothing_left_is_an_error():

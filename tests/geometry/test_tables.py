@@ -145,7 +145,7 @@ def test_hexagonal_grid_has_the_lattice_for_logs():
     faces = grid_faces(rows, columns)[:, [0, 2, 1]]
     points = np.stack([flat.real, flat.imag, 0 * flat.real], axis=1)
     mesh = Triangulation(points, faces)
-    rings = one_rings(mesh, tangent_frames(mesh))
+    rings = one_rings(tangent_frames(mesh))
     inside = (r > 0) & (r < rows - 1) & (c > 0) & (c < columns - 1)
     radius = np.sqrt((rows - 1) * (columns - 1) * np.sqrt(0.75) / (np.pi * rows * columns))
     lattice = np.exp(1j * np.pi / 3 * np.arange(6)) / radius  # counter-clockwise from the first edge

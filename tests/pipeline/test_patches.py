@@ -8,7 +8,7 @@ from PIL import Image
 
 from flx.config import FLVAE, Images
 from flx.pipeline import patches as patching
-from flx.pipeline.patches import VERTICES, ImagePatches, Lay
+from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, Placement
 from flx.pipeline.printed_pages import printed_pages
 
 CONFIG, MODEL = Images(queries=2), FLVAE(samples=16)
@@ -28,10 +28,10 @@ def patches(tmp_path_factory) -> ImagePatches:
         yield ImagePatches(Images(str(folder), queries=2), MODEL, 8)
 
 
-def plain(count: int, **changed) -> Lay:
+def plain(count: int, **changed) -> Placement:
     """Patches of one pixel a mean radius at the middle of image 0, with its own colours."""
     ones = jnp.ones(count)
-    lay = Lay(
+    placement = Placement(
         image=jnp.zeros(count, jnp.int32),
         scale=ones,
         turn=ones + 0j,
@@ -43,13 +43,13 @@ def plain(count: int, **changed) -> Lay:
         target=jnp.zeros((count, 3)),
         painted=0 * ones,
     )
-    return lay._replace(**changed)
+    return placement._replace(**changed)
 
 
 def test_a_batch_is_the_same_in_every_run_and_another_at_another_step(patches):
     again = ImagePatches(patches.config, MODEL, 8)
     np.testing.assert_array_equal(patches(3).rings.colors, again(3).rings.colors)
-    assert patches(3).colors.shape == (8 * VERTICES * 2, 3)
+    assert patches(3).colors.shape == (8 * PATCH_VERTICES * 2, 3)
     assert np.abs(patches(3).colors - patches(4).colors).max() > 0.1
     assert patches.digest == again.digest
 
@@ -58,7 +58,7 @@ def test_every_point_lies_in_a_face_whose_corners_see_it_where_it_is(patches):
     """log and place differ by a turn and a shift: seen from two corners, points are as far apart."""
     bank = jax.tree.map(lambda a: np.asarray(a)[::20], patches.bank)
     corners = bank.queries.vertices[..., 0]
-    assert bank.queries.vertices.min() >= 0 and bank.queries.vertices.max() < VERTICES
+    assert bank.queries.vertices.min() >= 0 and bank.queries.vertices.max() < PATCH_VERTICES
     apart = np.abs(np.take_along_axis(bank.logs, corners[..., None], 1) - bank.queries.logs[..., :1])
     places = np.take_along_axis(bank.places, corners[..., None], 1)
     np.testing.assert_allclose(apart, np.abs(places - bank.query_places[..., None]), atol=2e-3)
@@ -85,8 +85,8 @@ def test_queries_are_uniform_over_the_faces_of_a_patch(patches):
 
 def test_patches_side_by_side_do_not_share_vertices(patches):
     batch = patches(0)
-    owner = np.asarray(batch.queries.vertices) // VERTICES
-    np.testing.assert_array_equal(owner, np.repeat(np.arange(8), VERTICES * 2)[:, None].repeat(3, 1))
+    owner = np.asarray(batch.queries.vertices) // PATCH_VERTICES
+    np.testing.assert_array_equal(owner, np.repeat(np.arange(8), PATCH_VERTICES * 2)[:, None].repeat(3, 1))
 
 
 def test_rings_and_queries_read_the_same_picture(patches):
@@ -133,8 +133,8 @@ def test_a_lay_scales_turns_and_stretches_about_the_middle():
 def test_a_lay_reaches_from_one_border_of_its_image_to_the_other():
     ramp = np.zeros((1, 256, 256, 3), np.uint8)
     ramp[..., 0], ramp[..., 1] = np.arange(256), np.arange(256)[:, None]
-    lay = plain(3, corner=jnp.array([[0, 0], [1, 0], [0.25, 1]]))
-    read = patching.colors_at(jnp.asarray(ramp), lay, jnp.tile(jnp.array([0, 5, -3j]), (3, 1)))[0]
+    placement = plain(3, corner=jnp.array([[0, 0], [1, 0], [0.25, 1]]))
+    read = patching.colors_at(jnp.asarray(ramp), placement, jnp.tile(jnp.array([0, 5, -3j]), (3, 1)))[0]
     np.testing.assert_allclose(255 * read[:, 0, :2], [[5, 5], [250, 5], [66.25, 250]], atol=2e-3)
 
 
@@ -154,10 +154,10 @@ def test_what_is_painted_anew_is_measured_from_the_mean_of_the_rings():
 
 def test_half_of_the_patches_are_painted_anew_and_within_range():
     picture = np.random.default_rng(4).integers(0, 256, (1, 64, 64, 3)).astype(np.uint8)
-    lay = patching.random_lay(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
+    placement = patching.random_placement(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
     places = jnp.asarray(np.random.default_rng(5).normal(size=(4000, 6)) * (1 + 1j), jnp.complex64)
-    painted = patching.colors_at(jnp.asarray(picture), lay, places)[0]
-    kept = patching.colors_at(jnp.asarray(picture), lay._replace(painted=jnp.zeros(4000)), places)[0]
+    painted = patching.colors_at(jnp.asarray(picture), placement, places)[0]
+    kept = patching.colors_at(jnp.asarray(picture), placement._replace(painted=jnp.zeros(4000)), places)[0]
     share = np.mean(np.all(painted == kept, axis=(1, 2)))
     assert 0.45 < share < 0.55 and painted.min() == 0 and painted.max() == 1
 

@@ -34,7 +34,7 @@ from flx.commands.reconstruct import Reconstruct, reconstruct
 from flx.config import FLDMExperiment
 from flx.evaluation.timings import peak_bytes
 from flx.geometry.remesh.remesh import coincidence, remesh
-from flx.geometry.repair import shape
+from flx.geometry.repair import topology_counts
 from flx.geometry.tables import mesh_tables
 from flx.types import Triangulation
 
@@ -174,7 +174,7 @@ def measure(source: Source, vertices: int, out: Path) -> Row:
     mesh_tables(copy)
     tabled, peak = time.process_time(), peak_bytes() / 2**20
 
-    found, kept = shape(*mesh), shape(*copy)
+    found, kept = topology_counts(*mesh), topology_counts(*copy)
     exact = len(copy.vertices) == vertices and all(
         getattr(found, name) == getattr(kept, name) for name in ("components", "boundary_loops", "euler")
     )

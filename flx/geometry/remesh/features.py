@@ -1,24 +1,27 @@
-"""Boundaries and creases: the curves that remeshing keeps."""
+"""Boundaries and creases: the feature curves that remeshing preserves."""
 
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, chunks, dot, length_of, sum_at, unit
-from flx.geometry.topology import Topology, pieces
+from flx.geometry.arrays import area_normals, chunks, dot, length_of, sum_at, unit_vectors
+from flx.geometry.topology import Topology, label_components
 
-CREASE = np.cos(np.radians(60.0))  # faces that bend more than 60° meet in a crease
-CURVE = 4  # edges in the shortest crease
+CREASE_COSINE = np.cos(np.radians(60.0))  # faces that bend more than 60° meet in a crease
+CURVE = 4  # least number of edges in a crease
 
 
 def features(
     vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], topo: Topology, least: int = CURVE
 ) -> tuple[Bool[Any, "E"], Int[Any, "V"]]:
-    """Which edges are features, and how free each vertex is: 0 on a face, 1 on a curve, 2 at a corner."""
+    """Which edges are features, and the kind of each vertex: 0 on a face, 1 on a curve, 2 at a corner.
+
+    Features are boundary edges, and creases that form connected curves of at least `least` edges.
+    """
     feature = topo.boundary.copy()
-    normals = unit(area_normals(vertices, faces))
-    sharp = np.flatnonzero(~feature & (bends(normals, topo) < CREASE))
+    normals = unit_vectors(area_normals(vertices, faces))
+    sharp = np.flatnonzero(~feature & (bends(normals, topo) < CREASE_COSINE))
     feature[long_curves(topo.edges[sharp], np.ones(len(sharp)), len(vertices), least, sharp)] = True
     degree = np.bincount(topo.edges[feature].ravel(), minlength=len(vertices))
     kind = np.where(degree < 2, 0, np.where(degree == 2, 1, 2))
@@ -27,7 +30,10 @@ def features(
 
 
 def bends(normals: Float64[Any, "F 3"], topo: Topology) -> Float64[Any, "E"]:
-    """The cosine of the angle between the two faces at each edge, of unit `normals`; no use at boundaries."""
+    """The cosine of the angle between the unit `normals` of the two faces at each edge.
+
+    At boundary edges the value is arbitrary.
+    """
     cosines = np.empty(len(topo.edges))
     for rows in chunks(len(cosines)):
         left, right = topo.corners[rows].T // 3
@@ -40,7 +46,7 @@ def _turns(vertices, rim):
     if not len(rim):
         return []
     a, b = rim.T
-    along = unit(vertices[b] - vertices[a])
+    along = unit_vectors(vertices[b] - vertices[a])
     turn = sum_at(a[:, None], along, len(vertices)) - sum_at(b[:, None], along, len(vertices))
     return np.flatnonzero(length_of(turn) > 1)
 
@@ -48,6 +54,6 @@ def _turns(vertices, rim):
 def long_curves(
     edges: Int[Any, "N 2"], lengths: Float64[Any, "N"], count: int, least: float | int, ids: Int[Any, "N"]
 ) -> Int[Any, "n"]:
-    """The `ids` of edges in connected curves at least `least` long: sharp specks of a scan are no creases."""
-    curve = pieces(edges, count)[1][edges[:, 0]]
+    """The `ids` of edges in connected curves of length ≥ `least`: isolated sharp edges are scan noise."""
+    curve = label_components(edges, count)[1][edges[:, 0]]
     return ids[np.bincount(curve, lengths)[curve] >= least] if len(ids) else ids

@@ -1,7 +1,7 @@
-"""The last touch of a remeshed copy: it reaches what it missed, its sharpest angles widen, its gaps close.
+"""The last passes over a remeshed copy: reach what it misses, widen its sharpest angles, close its gaps.
 
-Smoothing cares for the mean; here a vertex moves where its worst face gets better, and otherwise stays. Few
-vertices are asked, so it costs little.
+Smoothing improves the mean face. Here a vertex moves only if its worst face improves. Few vertices are tried,
+so it costs little.
 """
 
 from typing import Any
@@ -11,35 +11,35 @@ from jaxtyping import Bool
 
 from flx.geometry.arrays import dot
 from flx.geometry.remesh.features import features
-from flx.geometry.remesh.operators import flip
-from flx.geometry.remesh.smoothing import Surface, smooth
+from flx.geometry.remesh.operators import flip_edges
+from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
 from flx.geometry.remesh.stars import Stars, independent, sharpest_cosines
-from flx.geometry.remesh.tighten import FAIR, FEW_SHARP, gap_to_close, reach, tighten
+from flx.geometry.remesh.tighten import FAIR_COSINE, FEW_SHARP, gap_to_close, pin_missed_points, tighten
 from flx.geometry.topology import mark, topology
 from flx.types import Triangulation
 
-SHARP = np.cos(np.radians(38.0))  # corners below 38° are asked to widen
-TRIES, MOST_TRIES = 24, 96  # of each vertex asked; more where many corners stay sharp
-NARROW = np.cos(np.radians(20.0))  # corners sharper than that are needles: features give way to them
-REACHES = 3  # each followed by smoothing, which loses a few points again
+SHARP_COSINE = np.cos(np.radians(38.0))  # vertices of faces with a smaller angle are moved
+TRIES, MOST_TRIES = 24, 96  # rounds of random moves; up to the second number while many corners stay sharp
+NARROW_COSINE = np.cos(np.radians(20.0))  # in faces with a smaller angle, feature vertices may move too
+PIN_ROUNDS = 3  # rounds of pinning; the smoothing after each loses a few points again
 
 
-def finish(mesh: Triangulation, surface: Surface, rng: np.random.Generator) -> Triangulation:
-    """Reach what the mesh misses, widen its angles, close what gaps are left."""
+def finish(mesh: Triangulation, surface: ReferenceSurface, rng: np.random.Generator) -> Triangulation:
+    """Pin vertices to the points that the mesh misses, widen its angles, close the remaining gaps."""
     gap = gap_to_close(mesh, surface)
     pinned, probes = np.zeros(len(mesh.vertices), bool), np.arange(len(surface.probes))
-    for _ in range(REACHES):
-        mesh, pinned, probes = reach(mesh, surface, gap, pinned, probes)
-        mesh = flip(smooth(mesh, surface, 1, pinned), rng, delaunay=True, passes=2)
+    for _ in range(PIN_ROUNDS):
+        mesh, pinned, probes = pin_missed_points(mesh, surface, gap, pinned, probes)
+        mesh = flip_edges(smooth(mesh, surface, 1, pinned), rng, delaunay=True, passes=2)
     return tighten(widen_angles(mesh, pinned, surface, rng), surface, gap, rng)
 
 
 def widen_angles(
-    mesh: Triangulation, pinned: Bool[Any, "V"], surface: Surface, rng: np.random.Generator
+    mesh: Triangulation, pinned: Bool[Any, "V"], surface: ReferenceSurface, rng: np.random.Generator
 ) -> Triangulation:
-    """Move vertices of sharp faces at random, on the surface, and keep what widens their sharpest corner.
+    """Move vertices of sharp faces at random on the surface; keep the moves that widen their sharpest corner.
 
-    Features slide along themselves and corners stay, but for needles; `pinned` vertices stay.
+    Feature vertices move along their curve and corners stay, except in needles; `pinned` vertices stay.
     """
     vertices, faces = mesh[0].copy(), mesh[1]
     count = len(vertices)
@@ -48,21 +48,25 @@ def widen_angles(
     rim = mark(count, topo.edges[topo.boundary].ravel())
     cosines = sharpest_cosines(vertices, faces)
     for attempt in range(MOST_TRIES):
-        if attempt >= TRIES and (cosines > FAIR).mean() < FEW_SHARP:
+        if attempt >= TRIES and (cosines > FAIR_COSINE).mean() < FEW_SHARP:
             break
-        needles = mark(count, faces[cosines > NARROW].ravel())
-        asked = np.unique(faces[cosines > SHARP])
-        asked = asked[((kind[asked] < 2) | needles[asked]) & ~pinned[asked]]
-        asked = asked[independent(topo.edges, count, asked, rng.permutation(len(asked)))]
-        stars = Stars(vertices, faces, asked)
-        step = rng.normal(size=(len(asked), 3)) * (0.2 * surface.length * rng.random(len(asked)))[:, None]
+        needles = mark(count, faces[cosines > NARROW_COSINE].ravel())
+        movers = np.unique(faces[cosines > SHARP_COSINE])
+        movers = movers[((kind[movers] < 2) | needles[movers]) & ~pinned[movers]]
+        movers = movers[independent(topo.edges, count, movers, rng.permutation(len(movers)))]
+        stars = Stars(vertices, faces, movers)
+        step = rng.normal(size=(len(movers), 3)) * (0.2 * surface.length * rng.random(len(movers)))[:, None]
         step -= dot(step, stars.normals)[:, None] * stars.normals
-        landed, trusted = surface.land(vertices[asked] + step, stars.normals, kind[asked], rim[asked])
+        landed, on_own_side = surface.project(
+            vertices[movers] + step, stars.normals, kind[movers], rim[movers]
+        )
         moved = vertices.copy()
-        moved[asked] = landed
+        moved[movers] = landed
         after = sharpest_cosines(moved, stars.faces)
-        better = trusted & stars.keep_facing(moved) & (stars.worst(after) < stars.worst(cosines[stars.ids]))
-        vertices[asked[better]] = landed[better]
-        kept = better[stars.owners]
-        cosines[stars.ids[kept]] = after[kept]
+        better = (
+            on_own_side & stars.keep_facing(moved) & (stars.worst(after) < stars.worst(cosines[stars.ids]))
+        )
+        vertices[movers[better]] = landed[better]
+        improved = better[stars.owners]
+        cosines[stars.ids[improved]] = after[improved]
     return Triangulation(vertices, faces)

@@ -1,6 +1,7 @@
-"""The steps of a remesher: split, collapse and flip edges, each on a random independent set at once.
+"""The local operations of a remesher (Botsch & Kobbelt 2004): split, collapse and flip edges.
 
-Features (flx.geometry.remesh.features) stay: their vertices move along them only.
+Each is applied to a random independent set of edges at once. Features (flx.geometry.remesh.features) are
+preserved: their vertices move only along them.
 """
 
 from typing import Any, NamedTuple
@@ -8,16 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, cross, dot, length_of, unit
+from flx.geometry.arrays import area_normals, cross, dot, length_of, unit_vectors
 from flx.geometry.remesh.features import features
 from flx.geometry.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, mark, topology
 from flx.types import Triangulation
 
-CAP = np.radians(160.0)  # a face with such an angle has no normal to speak of
-NEEDLE = 0.3  # of the shortest edge wanted: below it, creases do not protect an edge
+CAP = np.radians(160.0)  # a face with a larger angle has no reliable normal
+UNPROTECTED = 0.3  # length, in shortest edge lengths, below which an edge may collapse across a crease
 
-# The children of a face by the edges that are split (bit k: the edge opposite corner k); 0-2 are its
-# corners, 3-5 the points on those edges.
+# The children of a face for each set of split edges (bit k: the edge opposite corner k). 0-2 are its corners,
+# 3-5 the new points on those edges.
 CHILDREN = (
     ((0, 1, 2),),
     ((0, 1, 3), (0, 3, 2)),
@@ -30,10 +31,10 @@ CHILDREN = (
 )
 
 
-def split(
+def split_edges(
     mesh: Triangulation, topo: Topology, chosen: Bool[Any, "E"], rng: np.random.Generator
 ) -> Triangulation:
-    """Split the chosen edges near their middles, at random: even splits would make every copy alike."""
+    """Split the chosen edges at random points near their middles; at the middles, copies would be alike."""
     vertices, faces = mesh
     new = np.full(len(chosen), -1)
     new[chosen] = len(vertices) + np.arange(chosen.sum())
@@ -46,14 +47,17 @@ def split(
 
 
 def ranks(priority: Float64[Any, "N"]) -> Int[Any, "N"]:
-    """The place of each in the order of ascending priority."""
+    """The rank of each value in ascending order, from 0."""
     rank = np.empty(len(priority), np.int64)
     rank[np.argsort(priority)] = np.arange(len(priority))
     return rank
 
 
 def _unconnected(topo, count, pairs, priority):
-    """A maximal set (nearly) of `pairs` of which no two are joined by an edge, lowest priority first."""
+    """A nearly maximal set of `pairs` of which no two share a vertex or an edge between them.
+
+    Lowest priority first: a pair wins if it ranks before all its neighbours (Luby's algorithm, three rounds).
+    """
     (a, b), rank = pairs.T, ranks(priority)
     live = mark(count, pairs)
     u, v = topo.edges[all_of(live, topo.edges)].T
@@ -74,7 +78,10 @@ def _unconnected(topo, count, pairs, priority):
 
 
 def disjoint(groups: Int[Any, "N K"], count: int, priority: Float64[Any, "N"]) -> Int[Any, "n"]:
-    """A maximal set (nearly) of groups of which no two share a vertex, lowest priority first."""
+    """A nearly maximal set of groups of which no two share a vertex, lowest priority first.
+
+    Luby's algorithm, three rounds: a group wins if it has the lowest priority at each of its vertices.
+    """
     rank = ranks(priority)
     won, left = [], np.arange(len(groups))
     for _ in range(3):
@@ -89,39 +96,39 @@ def disjoint(groups: Int[Any, "N K"], count: int, priority: Float64[Any, "N"]) -
 
 
 class Collapsed(NamedTuple):
-    """A mesh, how many of its edges were collapsed, and which may not be: no need to ask again."""
+    """A mesh after one round of collapses."""
 
     mesh: Triangulation
-    done: int
-    refused: Int[Any, "N 2"]
+    done: int  # number of edges that were collapsed
+    refused: Int[Any, "N 2"]  # edges that failed a check and whose surroundings have not changed since
 
 
-ASK_ALL = np.zeros((0, 2), np.int64)
+NONE_REFUSED = np.zeros((0, 2), np.int64)
 
 
-def collapse(
+def collapse_edges(
     mesh: Triangulation,
     shortest: float,
     longest: float,
     rng: np.random.Generator,
     most: int | None = None,
     bend: float = 0.3,
-    refused: Int[Any, "N 2"] = ASK_ALL,
+    refused: Int[Any, "N 2"] = NONE_REFUSED,
 ) -> Collapsed:
-    """Collapse a random independent set of edges shorter than `shortest`, `most` at most, the shorter rather.
+    """Collapse a random independent set of at most `most` edges shorter than `shortest`, shorter ones first.
 
-    An edge stays where the topology would change, a feature would be cut, a face would turn by more than
-    arccos(`bend`) or an edge would grow beyond `longest`; the edges `refused` before are not asked.
+    An edge stays if its collapse would change the topology, cut a feature, turn a face by more than
+    arccos(`bend`) or make an edge longer than `longest`. Edges `refused` in an earlier round are skipped.
     """
     vertices, faces = mesh
     count = len(vertices)
     topo = topology(faces, count)
     feature, kind = features(vertices, faces, topo)
-    asked = ~mark(len(topo.edges), find_edges(topo, count, *refused.T))
-    ids = _collapsible(vertices, faces, topo, feature, kind, shortest, asked, rng)
+    allowed = ~mark(len(topo.edges), find_edges(topo, count, *refused.T))
+    ids = _collapsible(vertices, faces, topo, feature, kind, shortest, allowed, rng)
     a, b = topo.edges[ids].T
     middle = (vertices[a] + vertices[b]) / 2
-    # A feature vertex stays in place, unless two slide together along their curve.
+    # A feature vertex keeps its place, except when an edge of its own curve collapses to the middle.
     apart = (kind[a] == kind[b]) & (kind[a] > 0) & (~feature[ids] | (kind[a] == 2))
     middle = np.where((apart | (kind[a] > kind[b]))[:, None], vertices[a], middle)
     middle = np.where((kind[b] > kind[a])[:, None], vertices[b], middle)
@@ -139,25 +146,25 @@ def collapse(
     vertices = vertices.copy()
     vertices[a] = middle[done]
     x, y, z = target[faces].T
-    kept = (x != y) & (y != z) & (z != x)
+    proper = (x != y) & (y != z) & (z != x)
     remains = ~mark(count, b)
     new_index = np.cumsum(remains) - 1
-    mesh = Triangulation(vertices[remains], new_index[target[faces[kept]]])
+    mesh = Triangulation(vertices[remains], new_index[target[faces[proper]]])
     return Collapsed(mesh, len(done), new_index[refused])
 
 
-def _collapsible(vertices, faces, topo, feature, kind, shortest, asked, rng):
-    """A random independent set of short edges that neither topology nor features protect."""
+def _collapsible(vertices, faces, topo, feature, kind, shortest, allowed, rng):
+    """A random independent set of short edges whose collapse keeps topology and features."""
     count = len(vertices)
     lengths = edge_lengths(vertices, topo)
-    ids = np.flatnonzero(asked & (lengths < shortest))
+    ids = np.flatnonzero(allowed & (lengths < shortest))
     a, b = topo.edges[ids].T
     boundary = topo.boundary
     rim = mark(count, topo.edges[boundary].ravel())
     boundary = boundary[ids]
     free = (feature[ids] | (kind[a] == 0) | (kind[b] == 0)) & ((kind[a] < 2) | (kind[b] < 2) | boundary)
-    free |= (lengths[ids] < NEEDLE * shortest) & (boundary | ~(rim[a] & rim[b]))
-    # A fan must remain around the opposite vertices: three faces, two at the boundary.
+    free |= (lengths[ids] < UNPROTECTED * shortest) & (boundary | ~(rim[a] & rim[b]))
+    # Each opposite vertex loses an edge; it must keep three, or two at the boundary.
     spare = np.bincount(topo.edges.ravel(), minlength=count) - np.where(rim, 2, 3)
     corners = topo.corners[ids]
     opposite = faces.ravel()[np.where(corners < 0, corners[:, :1], corners)]
@@ -166,19 +173,19 @@ def _collapsible(vertices, faces, topo, feature, kind, shortest, asked, rng):
     priority = lengths[ids] / shortest + rng.random(len(ids))
     won = _unconnected(topo, count, topo.edges[ids], priority)
     ids, opposite, boundary = ids[won], opposite[won], boundary[won]
-    # An opposite vertex loses an edge to each collapse around it: where that is too many, one goes ahead.
+    # Where the collapses around an opposite vertex would take too many edges together, only one is made.
     lost = np.bincount(opposite.ravel(), minlength=count)
     crowded = any_of(lost > spare, opposite)
     first = np.flatnonzero(crowded)[:1]
-    kept = np.concatenate([np.flatnonzero(~crowded), first])
-    ids, boundary = ids[kept], boundary[kept]
-    # Link condition: the ends have no neighbour in common but the opposite vertices.
+    chosen = np.concatenate([np.flatnonzero(~crowded), first])
+    ids, boundary = ids[chosen], boundary[chosen]
+    # Link condition (Dey et al. 1999): the ends share no neighbours other than the opposite vertices.
     common = _common_neighbors(topo, count, *topo.edges[ids].T)
     return ids[common == np.where(boundary, 1, 2)]
 
 
 def _common_neighbors(topo, count, a, b):
-    """How many vertices are joined to both ends of the edges a-b, no two of which are adjacent."""
+    """The number of common neighbours of a and b, for edges a-b of which no two are adjacent."""
     owner = np.full(count, -1)
     owner[a] = np.arange(len(a))
     common = np.zeros(len(a), np.int64)
@@ -191,7 +198,7 @@ def _common_neighbors(topo, count, a, b):
 
 
 def _collapses_well(vertices, moved, faces, a, b, longest, bend):
-    """For each collapsing edge: no face around it turns over and no edge gets too long."""
+    """Whether, for each edge to collapse, no face around it turns over and no edge gets too long."""
     owner = np.full(len(vertices), -1)
     owner[a] = owner[b] = np.arange(len(a))
     owners = [np.take(owner, faces[:, k]) for k in range(3)]
@@ -205,12 +212,15 @@ def _collapses_well(vertices, moved, faces, a, b, longest, bend):
     return ~mark(len(a), pair[bad])
 
 
-def flip(mesh: Triangulation, rng: np.random.Generator, delaunay: bool, passes: int) -> Triangulation:
-    """Flip edges towards valence 6 (4 at a boundary), or towards intrinsic Delaunay; features stay."""
+def flip_edges(mesh: Triangulation, rng: np.random.Generator, delaunay: bool, passes: int) -> Triangulation:
+    """Flip edges towards valence 6 (4 at a boundary) or, if `delaunay`, the intrinsic Delaunay triangulation.
+
+    Features stay, except in caps; each pass flips a random independent set, those with most gain first.
+    """
     vertices, faces = mesh
     count = len(vertices)
     topo = topology(faces, count)
-    held = topo.edges[features(vertices, faces, topo)[0]]  # no flip makes others
+    held = topo.edges[features(vertices, faces, topo)[0]]  # once is enough: flips create no features
     for _ in range(passes):
         held = held[has_edge(topo, count, *held.T)]
         inner = np.flatnonzero(~topo.boundary)
@@ -248,11 +258,11 @@ def _angle(vertices, at, a, b):
 
 
 def _flips_well(quads, cap):
-    """The two faces lie nearly in one plane, before and after; a cap has no plane of its own."""
+    """Whether the two faces are nearly coplanar before and after the flip; a cap need not be before it."""
     a, b, p, q = quads.transpose(1, 0, 2)
     left, right = cross(a - p, b - p), cross(b - q, a - q)
-    mean = unit(left + right)
-    good = cap | (dot(unit(left), unit(right)) > 0.5)
+    mean = unit_vectors(left + right)
+    good = cap | (dot(unit_vectors(left), unit_vectors(right)) > 0.5)
     for after in (cross(a - p, q - p), cross(b - q, p - q)):
-        good &= dot(unit(after), mean) > 0.5
+        good &= dot(unit_vectors(after), mean) > 0.5
     return good

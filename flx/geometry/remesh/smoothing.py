@@ -1,4 +1,4 @@
-"""Smoothing a mesh without leaving the surface it stands for."""
+"""Tangential smoothing, with projection back onto the surface that the mesh approximates."""
 
 from typing import Any
 
@@ -6,20 +6,25 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit, vertex_normals
+from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors, vertex_normals
 from flx.geometry.remesh.features import CURVE, bends, features, long_curves
 from flx.geometry.topology import edge_lengths, mark, topology
 from flx.types import Triangulation
 
-GAP = 0.42  # of an edge: the widest that a mesh may leave to the surface
-# The same where the surface is large for its box: 0.27 % of the diagonal at 30,000 vertices.
+GAP = 0.42  # widest gap allowed between mesh and surface, in wanted edge lengths
+# Upper bound of that limit, in units of diagonal / √area: 0.27 % of the diagonal at 30,000 vertices. It
+# applies if the surface is large for its bounding box.
 NARROWEST = 0.435
-SPACING = 0.5  # of an edge: how close the points lie that a mesh is measured at
-BENT = np.cos(np.radians(30.0))  # faces that bend less meet in no edge worth measuring
+SPACING = 0.5  # spacing of the probes on long edges, in wanted edge lengths
+BENT_COSINE = np.cos(np.radians(30.0))  # edges between faces that bend by less than 30° get no probes
 
 
-class Surface:
-    """The surface to stay on, for a mesh of edges of `length`: its faces, its boundary and its creases."""
+class ReferenceSurface:
+    """The surface that a mesh with edges of `length` must stay on: its faces, boundary and creases.
+
+    `gap` is the widest distance allowed between the two; `probes` are points that the mesh must not miss,
+    with the normals `outward`.
+    """
 
     def __init__(self, vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], length: float):
         topo = topology(faces, len(vertices))
@@ -33,7 +38,7 @@ class Surface:
             NARROWEST * np.linalg.norm(np.ptp(vertices, axis=0)) / np.sqrt(length_of(self.normals).sum() / 2)
         )
         self.gap = min(GAP, narrow) * length
-        self.normals = unit(self.normals)
+        self.normals = unit_vectors(self.normals)
         self.edges, self.face_edges = topo.edges, topo.face_edges
         self.tree = igl.AABB()
         self.tree.init(vertices, faces)
@@ -41,51 +46,53 @@ class Surface:
         self.creases = np.ascontiguousarray(topo.edges[creases])
         self.probes, self.outward = _probes(vertices, faces, topo, length)
 
-    def land(
+    def project(
         self,
         points: Float64[Any, "N 3"],
         normals: Float64[Any, "N 3"],
         kind: Int[Any, "N"],
         rim: Bool[Any, "N"],
     ) -> tuple[Float64[Any, "N 3"], Bool[Any, "N"]]:
-        """Closest points: of features on the features, of boundaries (`rim`) on the boundary, else on faces.
+        """The closest points on the boundary (for `rim`), on creases (for `kind` > 0), otherwise on faces.
 
-        Also whether they are to be trusted: on a thin wall the closest point may be the far side's, whose
-        normal is another. Then it is asked for again from above and from below, where each side is apart.
+        Returns them and whether they lie on the point's own side. On a thin wall the closest point may be on
+        the far side, where the normal differs; the search is then repeated from above and below the point,
+        where the two sides are farther apart.
         """
-        landed, trusted = self._on_faces(points, normals)
-        # The normal of a feature vertex says little.
-        trusted |= rim | ((kind > 0) & (length_of(landed - points) < 0.5 * self.length))
-        lost = np.flatnonzero(~trusted)
-        apart = np.full(len(lost), self.length)
+        landed, on_own_side = self._on_faces(points, normals)
+        # The normal of a feature vertex is unreliable, so a close point is accepted without comparing it.
+        on_own_side |= rim | ((kind > 0) & (length_of(landed - points) < 0.5 * self.length))
+        opposed = np.flatnonzero(~on_own_side)
+        apart = np.full(len(opposed), self.length)
         for lift in (0.5, -0.5):
-            found, faced = self._on_faces(points[lost] + lift * self.length * normals[lost], normals[lost])
-            distance = length_of(found - points[lost])
-            closer = faced & (distance < apart)
-            apart[closer], landed[lost[closer]] = distance[closer], found[closer]
-            trusted[lost[closer]] = True
+            starts = points[opposed] + lift * self.length * normals[opposed]
+            candidates, agrees = self._on_faces(starts, normals[opposed])
+            distance = length_of(candidates - points[opposed])
+            closer = agrees & (distance < apart)
+            apart[closer], landed[opposed[closer]] = distance[closer], candidates[closer]
+            on_own_side[opposed[closer]] = True
         members = np.flatnonzero((kind > 0) & ~rim)
         if len(self.creases) and len(members):
             square, _, closest = igl.point_mesh_squared_distance(points[members], self.vertices, self.creases)
             near = np.asarray(square) < (0.5 * self.length) ** 2
             landed[members[near]] = np.asarray(closest)[near]
-            trusted[members[near]] = True
+            on_own_side[members[near]] = True
         members = np.flatnonzero(rim)
         if len(members):
             closest = self._on_boundary(points[members], normals[members])
             near = length_of(closest - points[members]) < self.length
             landed[members[near]] = closest[near]
-        return landed, trusted
+        return landed, on_own_side
 
     def _on_faces(self, points, normals):
-        """Closest points, and whether the surface faces the same way there."""
+        """The closest points on faces, and whether the surface faces the same way there."""
         _, face, closest = self.tree.squared_distance(self.vertices, self.faces, np.ascontiguousarray(points))
         return np.asarray(closest), dot(self.normals[np.asarray(face)], normals) > 0.3
 
     def _on_boundary(self, points, normals):
-        """Closest boundary points where the surface faces the same way.
+        """The closest boundary points where the surface faces the same way.
 
-        Boundary and points are lifted along their normals first: the two sides of a thin wall move apart.
+        Boundary and points are first lifted along their normals, which separates the sides of a thin wall.
         """
         lift = 0.5 * self.length
         lifted = points + lift * normals
@@ -98,17 +105,17 @@ class Surface:
         return a + np.clip(t, 0, 1)[:, None] * (b - a)
 
     def distances(self, points: Float64[Any, "N 3"]) -> Float64[Any, "N"]:
-        """How far points are from the faces."""
+        """The distance of each point from the surface."""
         return np.sqrt(np.asarray(self.tree.squared_distance(self.vertices, self.faces, points)[0]))
 
 
 def _probes(vertices, faces, topo, length):
-    """Points that a mesh may miss, and their normals: the vertices, and others on long edges that bend."""
+    """Points that a mesh might miss, and their normals: all vertices, and points on long, bent edges."""
     normals = area_normals(vertices, faces)
     outward = vertex_normals(faces, normals, len(vertices))
-    normals = unit(normals)
+    normals = unit_vectors(normals)
     pieces = np.ceil(edge_lengths(vertices, topo) / (SPACING * length)).astype(np.int64)
-    bent = np.flatnonzero((pieces > 1) & ~topo.boundary & (bends(normals, topo) < BENT))
+    bent = np.flatnonzero((pieces > 1) & ~topo.boundary & (bends(normals, topo) < BENT_COSINE))
     inner = pieces[bent] - 1
     edge = np.repeat(np.arange(len(bent)), inner)
     place = 1 + np.arange(len(edge)) - (np.cumsum(inner) - inner)[edge]
@@ -116,21 +123,22 @@ def _probes(vertices, faces, topo, length):
     a, b = topo.edges[bent[edge]].T
     return (
         np.concatenate([vertices, (1 - t) * vertices[a] + t * vertices[b]]),
-        np.concatenate([outward, unit(outward[a] + outward[b])]),
+        np.concatenate([outward, unit_vectors(outward[a] + outward[b])]),
     )
 
 
 def smooth(
-    mesh: Triangulation, surface: Surface, passes: int, pinned: Bool[Any, "V"] | None = None
+    mesh: Triangulation, surface: ReferenceSurface, passes: int, pinned: Bool[Any, "V"] | None = None
 ) -> Triangulation:
-    """Move each vertex towards the area-weighted centroid of its faces, or along its curve; project back.
+    """Move each vertex towards the area-weighted centroid of its faces, then project it onto the surface.
 
-    `pinned` vertices stay.
+    Vertices of feature curves move along their curve; corners and `pinned` vertices stay. Moves that would
+    fold a face, or end on the wrong side of a thin wall, are undone.
     """
     vertices, faces = mesh
     count = len(vertices)
     topo = topology(faces, count)
-    edge_of_surface = mark(count, topo.edges[topo.boundary].ravel())
+    rim = mark(count, topo.edges[topo.boundary].ravel())
     for _ in range(passes):
         feature, kind = features(vertices, faces, topo)
         normals = area_normals(vertices, faces)
@@ -148,8 +156,8 @@ def smooth(
         if pinned is not None:
             step[pinned] = 0
         wanted = vertices + 0.6 * step
-        moved, landed = surface.land(wanted, outward, kind, edge_of_surface)
-        moved[~landed] = vertices[~landed]
+        moved, on_own_side = surface.project(wanted, outward, kind, rim)
+        moved[~on_own_side] = vertices[~on_own_side]
         if pinned is not None:
             moved[pinned] = vertices[pinned]
         vertices = _without_folds(vertices, moved, faces, normals)
@@ -157,11 +165,11 @@ def smooth(
 
 
 def _without_folds(vertices, moved, faces, normals):
-    """Take back the moves that turn a face over or leave it a tenth of the mean area."""
+    """Undo the moves that turn a face over or shrink it below a tenth of the mean area."""
     area = length_of(normals)
     least = np.minimum(0.1 * area.mean(), 0.9 * area)
     while True:
-        folded = dot(unit(normals), area_normals(moved, faces)) < least
+        folded = dot(unit_vectors(normals), area_normals(moved, faces)) < least
         back = faces[folded].ravel()
         if (moved[back] == vertices[back]).all():
             return moved

@@ -1,8 +1,9 @@
-"""Keeping a remeshed copy close to its surface, both ways: no tip is cut off, no crease is cut across.
+"""Closing the gaps between a remeshed copy and its surface, in both directions.
 
-Smoothing slides off the tips of spikes and off fillets narrower than an edge, and edges run across creases
-that bend too little or are too short to be features. First vertices go to the farthest points of the surface
-(`reach`) while the copy can still be smoothed around them; what is left is searched at random (`tighten`).
+Smoothing slides vertices off the tips of spikes and off fillets narrower than an edge, and edges cut across
+creases that bend too little or are too short to be features. First, `pin_missed_points` moves vertices to the
+farthest points of the surface, while the copy can still be smoothed around them. Then `tighten` searches at
+random for moves and flips that close the remaining gaps.
 """
 
 from typing import Any, NamedTuple
@@ -10,48 +11,50 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit
-from flx.geometry.remesh.deviation import EASY, fit_of, gaps_of, shapes_of
+from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors
+from flx.geometry.remesh.deviation import EASY, distances_to_mesh, measure_faces, measure_mesh
 from flx.geometry.remesh.operators import disjoint, ranks
-from flx.geometry.remesh.smoothing import Surface
+from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import Stars, independent, largest, longest_sides, sharpest_cosines
 from flx.geometry.topology import all_of, any_of, has_edge, mark, topology
 from flx.types import Triangulation
 
-LAPS, TRIES = 30, 8  # of each place
-SHARP_LAPS = 2  # in which places that are only sharp are looked at, too, or while there are not few:
-FEW_SHARP = 0.007  # of the faces
-RINGS = 3  # of faces around the places of a lap
-STEP = 0.6  # of an edge: the longest random move, nearly
-ANEW = 0.3  # share of the moves that start amid a vertex's neighbours and end anywhere
-AIMED = 0.5  # share of the moves that go towards a point that the mesh misses, where there is one
-COARSE = 3e-3  # of the diagonal: a mesh that may leave wider gaps closes none but its widest,
-WIDEST = 3e-3  # this share of them: all of a surface finer than the mesh would cost it its angles
-LONGEST = 1.7  # edges, in wanted lengths, that the search makes
-UPRIGHT = 0.1  # the least cosine between a face and its patch
-FAIR = np.cos(np.radians(35.0))  # the sharpest corner that the search makes
-NEEDLE = np.cos(np.radians(10.0))  # the sharpest that reaching a tip makes, before it is smoothed
+LAPS, TRIES = 30, 8  # laps over the bad places of a mesh, and attempts at each place in a lap
+SHARP_LAPS = 2  # laps in which faces that are merely sharp count as bad too
+FEW_SHARP = 0.007  # share of sharp faces above which they count as bad in the later laps as well
+MARGIN_RINGS = 3  # rings of faces around the bad places that a lap works on
+STEP = 0.6  # scale of the random moves, in wanted edge lengths
+ANEW = 0.3  # share of the moves that start at the mean of the neighbours and ignore features
+AIMED = 0.5  # share of the moves that aim at a point that the mesh misses, where there is one
+COARSE = (
+    3e-3  # allowed gap, as a share of the diagonal, from which a copy is too coarse to follow every detail
+)
+WIDEST = 3e-3  # share of the gaps that such a copy closes, the widest; closing all would spoil its angles
+LONGEST_EDGE = 1.7  # longest edge that the search may make, in wanted edge lengths
+UPRIGHT = 0.1  # least cosine between the normals of a face and its patch
+FAIR_COSINE = np.cos(np.radians(35.0))  # corners below 35° are penalised
+NEEDLE_COSINE = np.cos(np.radians(10.0))  # no change may make a corner below 10°
 
 
-def gap_to_close(mesh: Triangulation, surface: Surface) -> float:
-    """From which width on gaps are worth closing."""
+def gap_to_close(mesh: Triangulation, surface: ReferenceSurface) -> float:
+    """The width from which gaps are closed: the allowed one, or on a coarse copy a quantile of all gaps."""
     if surface.gap < COARSE * np.linalg.norm(np.ptp(surface.vertices, axis=0)):
         return surface.gap
-    return max(surface.gap, float(np.quantile(gaps_of(surface.probes, *mesh)[0], 1 - WIDEST)))
+    return max(surface.gap, float(np.quantile(distances_to_mesh(surface.probes, *mesh)[0], 1 - WIDEST)))
 
 
-def reach(
-    mesh: Triangulation, surface: Surface, gap: float, pinned: Bool[Any, "V"], probes: Int[Any, "N"]
+def pin_missed_points(
+    mesh: Triangulation, surface: ReferenceSurface, gap: float, pinned: Bool[Any, "V"], probes: Int[Any, "N"]
 ) -> tuple[Triangulation, Bool[Any, "V"], Int[Any, "n"]]:
-    """Move vertices onto the points of the surface that the mesh misses by far, and pin them there.
+    """Move vertices onto the points of the surface that are farther than `gap` from the mesh; pin them there.
 
-    Of two neighbours the one with the wider gap goes; pinned and boundary vertices stay, and a vertex goes
-    only where the surface faces its way. `probes` are the points asked. Returns the mesh, which vertices are
-    pinned now, and which probes to ask again, when the mesh has been smoothed.
+    Of two neighbouring vertices, the one with the wider gap moves. Pinned and boundary vertices stay, and a
+    vertex moves only to where the surface faces the same way. `probes` are indices of the points to check.
+    Returns the mesh, the vertices that are pinned now, and the probes to check again after smoothing.
     """
     vertices, faces = mesh[0].copy(), mesh[1]
     count = len(vertices)
-    gaps, hit = gaps_of(surface.probes[probes], vertices, faces)
+    gaps, hit = distances_to_mesh(surface.probes[probes], vertices, faces)
     again = probes[gaps > gap / 2]
     missed = np.flatnonzero(gaps > gap)
     targets, outward = surface.probes[probes[missed]], surface.outward[probes[missed]]
@@ -63,103 +66,105 @@ def reach(
     movers = np.take_along_axis(near, apart.argmin(1)[:, None], 1)[:, 0]
     open_ = ~rim[movers] & ~pinned[movers] & (dot(area_normals(vertices, near), outward) > 0)
     widest = np.flatnonzero(open_)[np.argsort(-gaps[open_], kind="stable")]
-    asked, first = np.unique(movers[widest], return_index=True)
+    movers, first = np.unique(movers[widest], return_index=True)
     goals = widest[first]
-    chosen = independent(topo.edges, count, asked, ranks(-gaps[goals]))
-    asked, goals = asked[chosen], goals[chosen]
-    stars = Stars(vertices, faces, asked)
+    chosen = independent(topo.edges, count, movers, ranks(-gaps[goals]))
+    movers, goals = movers[chosen], goals[chosen]
+    stars = Stars(vertices, faces, movers)
     moved = vertices.copy()
-    moved[asked] = targets[goals]
-    good = stars.keep_facing(moved, 0.1) & (stars.worst(sharpest_cosines(moved, stars.faces)) < NEEDLE)
-    vertices[asked[good]] = moved[asked[good]]
-    return Triangulation(vertices, faces), pinned | mark(count, asked[good]), again
+    moved[movers] = targets[goals]
+    good = stars.keep_facing(moved, 0.1) & (stars.worst(sharpest_cosines(moved, stars.faces)) < NEEDLE_COSINE)
+    vertices[movers[good]] = moved[movers[good]]
+    return Triangulation(vertices, faces), pinned | mark(count, movers[good]), again
 
 
-def tighten(mesh: Triangulation, surface: Surface, gap: float, rng: np.random.Generator) -> Triangulation:
-    """Move vertices and flip edges at random where the mesh is far from the surface, the surface from it, or
-    a corner sharp, and keep what makes the sum of squared excesses smaller.
+def tighten(
+    mesh: Triangulation, surface: ReferenceSurface, gap: float, rng: np.random.Generator
+) -> Triangulation:
+    """Random local search: move vertices and flip edges, and keep the changes that lower the cost (`_cost`).
 
-    Only the surroundings of such places are looked at, so it costs little.
+    The search covers only the surroundings of bad faces: far from the surface, missing a point of it by more
+    than `gap`, or with a sharp corner. So it costs little.
     """
-    fit = fit_of(mesh, surface, gap)
+    fit = measure_mesh(mesh, surface, gap)
     for lap in range(LAPS):
-        sharp = fit.shapes.cosines > FAIR
+        sharp = fit.quality.cosines > FAIR_COSINE
         widen = lap < SHARP_LAPS or sharp.mean() > FEW_SHARP
         bad = fit.wide | sharp & widen
         if not bad.any():
             break
-        for _ in range(RINGS):
+        for _ in range(MARGIN_RINGS):
             bad = _grown(bad, fit.faces, len(fit.vertices))
         rows = np.flatnonzero(bad)
-        part, inside, asked = fit.cut(rows)
+        part, inside, probes = fit.submesh(rows)
         for attempt in range(TRIES):
             wide = part.wide
-            bad = wide | (part.shapes.cosines > FAIR) & widen
+            bad = wide | (part.quality.cosines > FAIR_COSINE) & widen
             if not bad.any():
                 break
-            loose = _grown(wide, part.faces, len(part.vertices))
+            loose = _grown(wide, part.faces, len(part.vertices))  # here, features may change too
             if attempt % 2:
                 change = _flips(part, np.flatnonzero(bad), loose, rng)
             else:
                 change = _moves(part, np.flatnonzero(bad), loose, surface, rng)
             _take_over(part, change, surface, gap)
         fit.vertices[inside], fit.faces[rows] = part.vertices, inside[part.faces]
-        fit.shapes.put(rows, part.shapes)
-        fit.gaps[asked], fit.hits[asked] = part.gaps, rows[part.hits]
+        fit.quality.put(rows, part.quality)
+        fit.gaps[probes], fit.hits[probes] = part.gaps, rows[part.hits]
     return Triangulation(fit.vertices, fit.faces)
 
 
 class Change(NamedTuple):
-    """A change of patches of a mesh, no two of which share a face."""
+    """A proposed change to patches of a mesh, no two of which share a face."""
 
-    vertices: Float64[Any, "V 3"]
-    rows: Int[Any, "n"]  # the faces that change,
-    faces: Int[Any, "n 3"]  # what they become,
-    owners: Int[Any, "n"]  # and their patches
-    size: int  # how many patches
+    vertices: Float64[Any, "V 3"]  # of the whole mesh, after the change
+    rows: Int[Any, "n"]  # indices of the faces that change
+    faces: Int[Any, "n 3"]  # their new corners
+    owners: Int[Any, "n"]  # the patch of each
+    size: int  # number of patches
 
 
 def _take_over(fit, change, surface, gap):
-    """Change the patches that cost less then."""
+    """Accept the change of each patch whose cost it lowers; updates `fit` in place."""
     rows, owners, size = change.rows, change.owners, change.size
     patch = np.full(len(fit.faces), -1)
     patch[rows] = owners
-    asked = np.flatnonzero(patch[fit.hits] >= 0)
-    by_probe = patch[fit.hits[asked]]
+    probes = np.flatnonzero(patch[fit.hits] >= 0)
+    by_probe = patch[fit.hits[probes]]
     faces = fit.faces.copy()
     faces[rows] = change.faces
-    gaps, hits = gaps_of(fit.probes[asked], change.vertices, faces)
+    gaps, hits = distances_to_mesh(fit.probes[probes], change.vertices, faces)
     gaps /= gap
-    shapes = shapes_of(change.vertices, change.faces, surface, gap)
-    before = _cost(fit.shapes.at(rows), owners, fit.gaps[asked], by_probe, size)
-    better = _cost(shapes, owners, gaps, by_probe, size) < before
+    quality = measure_faces(change.vertices, change.faces, surface, gap)
+    before = _cost(fit.quality.at(rows), owners, fit.gaps[probes], by_probe, size)
+    better = _cost(quality, owners, gaps, by_probe, size) < before
     better &= _sound(fit, change, surface.length)
-    kept = better[owners]
-    rows, faces = rows[kept], change.faces[kept]
+    accepted = better[owners]
+    rows, faces = rows[accepted], change.faces[accepted]
     fit.vertices[faces], fit.faces[rows] = change.vertices[faces], faces
-    fit.shapes.put(rows, shapes.at(kept))
-    kept = better[by_probe]
-    asked, gaps, hits = asked[kept], gaps[kept], hits[kept]
-    # A neighbouring patch that came closer may be one that stays as it was.
+    fit.quality.put(rows, quality.at(accepted))
+    accepted = better[by_probe]
+    probes, gaps, hits = probes[accepted], gaps[accepted], hits[accepted]
+    # The closest face may belong to a neighbouring patch whose own change was rejected: measure again.
     gone = np.flatnonzero(~np.append(better, True)[patch[hits]])
-    gaps[gone], hits[gone] = gaps_of(fit.probes[asked[gone]], fit.vertices, fit.faces)
+    gaps[gone], hits[gone] = distances_to_mesh(fit.probes[probes[gone]], fit.vertices, fit.faces)
     gaps[gone] /= gap
-    fit.gaps[asked], fit.hits[asked] = gaps, hits
+    fit.gaps[probes], fit.hits[probes] = gaps, hits
 
 
-def _cost(shapes, owners, gaps, by_probe, size):
-    """Of each patch: squares of gaps beyond `EASY` and of cosines beyond `FAIR`, summed."""
-    faces = shapes.excess + np.maximum(shapes.cosines - FAIR, 0) ** 2
+def _cost(quality, owners, gaps, by_probe, size):
+    """For each patch, the sum of squares of distances beyond `EASY` and of cosines beyond `FAIR_COSINE`."""
+    faces = quality.excess + np.maximum(quality.cosines - FAIR_COSINE, 0) ** 2
     return np.bincount(owners, faces, size) + np.bincount(by_probe, np.maximum(gaps - EASY, 0) ** 2, size)
 
 
-def _grown(faces_in, faces, count):
-    """With all faces that share a vertex."""
-    return any_of(mark(count, faces[faces_in]), faces)
+def _grown(marked, faces, count):
+    """The marked faces and all that share a vertex with them."""
+    return any_of(mark(count, faces[marked]), faces)
 
 
 def _moves(fit, bad, loose, surface, rng):
-    """Stars of corners of bad faces, no two adjacent, their centres moved at random on the surface."""
+    """Random moves, on the surface, of corners of bad faces, no two of them adjacent; a patch is a star."""
     vertices, faces = fit.vertices, fit.faces
     count = len(vertices)
     goals = np.full((len(faces), 3), np.nan)
@@ -169,31 +174,31 @@ def _moves(fit, bad, loose, surface, rng):
     kind = fit.kind.copy()
     rim = mark(count, topo.edges[topo.boundary].ravel())
     corners = faces[bad, rng.integers(3, size=len(bad))]
-    asked, first = np.unique(corners, return_index=True)
+    movers, first = np.unique(corners, return_index=True)
     goals, loose = goals[bad[first]], loose[bad[first]]
-    # A spike takes itself for a crease, and lands on none there is: some start anew amid their neighbours.
-    anew = loose & (rng.random(len(asked)) < ANEW)
-    kind[asked[anew]] = 0
-    free = ~rim[asked] & ((kind[asked] < 2) | loose)
-    free[free] = independent(topo.edges, count, asked[free], rng.permutation(int(free.sum())))
-    asked, goals, anew = asked[free], goals[free], anew[free]
-    stars = Stars(vertices, faces, asked)
-    start = np.where(anew[:, None], stars.middles(vertices), vertices[asked])
-    step = rng.normal(size=(len(asked), 3)) * (STEP * surface.length * rng.random(len(asked)))[:, None]
+    # The edges of a spike look like creases that the surface does not have: some moves ignore features.
+    anew = loose & (rng.random(len(movers)) < ANEW)
+    kind[movers[anew]] = 0
+    free = ~rim[movers] & ((kind[movers] < 2) | loose)
+    free[free] = independent(topo.edges, count, movers[free], rng.permutation(int(free.sum())))
+    movers, goals, anew = movers[free], goals[free], anew[free]
+    stars = Stars(vertices, faces, movers)
+    start = np.where(anew[:, None], stars.middles(vertices), vertices[movers])
+    step = rng.normal(size=(len(movers), 3)) * (STEP * surface.length * rng.random(len(movers)))[:, None]
     step -= dot(step, stars.normals)[:, None] * stars.normals
-    aimed = np.isfinite(goals[:, 0]) & (rng.random(len(asked)) < AIMED)
-    share = rng.uniform(0.5, 1.5, (len(asked), 1))
+    aimed = np.isfinite(goals[:, 0]) & (rng.random(len(movers)) < AIMED)
+    share = rng.uniform(0.5, 1.5, (len(movers), 1))
     step[aimed] = (share * (goals - start))[aimed]
-    landed, trusted = surface.land(start + step, stars.normals, kind[asked], rim[asked])
+    landed, on_own_side = surface.project(start + step, stars.normals, kind[movers], rim[movers])
     there = aimed & (share[:, 0] > 1)
-    landed[there], trusted[there] = goals[there], True
+    landed[there], on_own_side[there] = goals[there], True
     moved = vertices.copy()
-    moved[asked[trusted]] = landed[trusted]
-    return Change(moved, stars.ids, stars.faces, stars.owners, len(asked))
+    moved[movers[on_own_side]] = landed[on_own_side]
+    return Change(moved, stars.ids, stars.faces, stars.owners, len(movers))
 
 
 def _flips(fit, bad, loose, rng):
-    """Pairs of faces, one of each bad, no two of them touching, with their common edge flipped."""
+    """Random flips of edges of bad faces; a patch is the pair of faces at the edge, no two pairs touch."""
     vertices, faces = fit.vertices, fit.faces
     count = len(vertices)
     topo = topology(faces, count)
@@ -204,7 +209,7 @@ def _flips(fit, bad, loose, rng):
     p, q = faces.ravel()[topo.corners[edges].T]
     a, b = faces[rows[:, 0], (corner + 1) % 3], faces[rows[:, 0], (corner + 2) % 3]
     valence = np.bincount(topo.edges.ravel(), minlength=count)
-    rim = mark(count, topo.edges[topo.boundary].ravel())  # beyond it p and q may be joined
+    rim = mark(count, topo.edges[topo.boundary].ravel())  # p and q may be joined outside this part
     good = (valence[a] > 3) & (valence[b] > 3) & ~(rim[p] & rim[q]) & ~has_edge(topo, count, p, q)
     quads, rows = np.stack([a, b, p, q], 1)[good], rows[good]
     chosen = disjoint(quads, count, rng.random(len(quads)))
@@ -214,17 +219,17 @@ def _flips(fit, bad, loose, rng):
 
 
 def _sound(fit, change, length):
-    """Whether the faces of a patch look one way, none is a needle and none too long, or about as before."""
+    """Whether each patch has faces that agree in direction, no needle and no long edge, or gets no worse."""
     owners, size = change.owners, change.size
     states = ((fit.vertices, fit.faces[change.rows]), (change.vertices, change.faces))
     normals = [area_normals(*state) for state in states]
-    mean = [unit(sum_at(owners[:, None], each, size)) for each in normals]
+    mean = [unit_vectors(sum_at(owners[:, None], each, size)) for each in normals]
     down = [
-        largest(owners, -dot(unit(each), np.take(main, owners, 0)), size)
+        largest(owners, -dot(unit_vectors(each), np.take(main, owners, 0)), size)
         for each, main in zip(normals, mean, strict=True)
     ]
     sharp = [largest(owners, sharpest_cosines(*state), size) for state in states]
     long = [largest(owners, longest_sides(*state), size) for state in states]
     good = (down[1] < np.maximum(down[0], -UPRIGHT)) & (dot(*mean) > 0.3)
-    good &= sharp[1] < np.maximum(sharp[0], NEEDLE)
-    return good & (long[1] <= np.maximum(long[0], LONGEST * length))
+    good &= sharp[1] < np.maximum(sharp[0], NEEDLE_COSINE)
+    return good & (long[1] <= np.maximum(long[0], LONGEST_EDGE * length))

@@ -1,1 +1,1 @@
-"""The field-latent VAE: the paper's, and ours."""
+"""The field-latent VAE: the paper's architecture, and ours."""

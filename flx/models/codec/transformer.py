@@ -6,16 +6,15 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Complex, Float
 
-from flx.config import FLVAE
+from flx.config import FLVAE, Precision
 from flx.fields import algebra
-from flx.fields.algebra import Precision
 from flx.models.codec.interpolated import products
 from flx.models.layers import ComplexDense, Posterior, RealMLP, TokenNorm, VNLayer
 from flx.types import RingSamples
 
 
 class ComplexMLP(nn.Module):
-    """A real MLP whose outputs are read as complex numbers: invariants in, coefficients out."""
+    """A real MLP from invariants to complex coefficients, its outputs read as (re, im)."""
 
     widths: tuple[int, ...]
     precision: Precision = "float32"
@@ -28,7 +27,7 @@ class ComplexMLP(nn.Module):
 
 
 class Attention(nn.Module):
-    """Multi-head attention with complex linear maps; the logits are Re(q̄ k), so frames cancel."""
+    """Multi-head attention with complex linear maps; its logits Re(q̄ k) do not depend on the frame."""
 
     heads: int
     precision: Precision = "float32"
@@ -37,21 +36,21 @@ class Attention(nn.Module):
     def __call__(self, x: Complex[Array, "*B T C"]) -> Complex[Array, "*B T C"]:
         channels = x.shape[-1]
         qkv = ComplexDense(3 * channels, self.precision)(x)
-        q, k, v = (self.split(part) for part in jnp.split(qkv, 3, -1))
-        # Not jax.nn.dot_product_attention, whose softmax is float32 even where all else is float64.
+        q, k, v = (self.split_heads(part) for part in jnp.split(qkv, 3, -1))
+        # Not jax.nn.dot_product_attention, whose softmax is float32 even if everything else is float64.
         logits = jnp.einsum("...qhe,...khe->...hqk", q, k) * (channels // self.heads) ** -0.5
         y = jnp.einsum("...hqk,...khe->...qhe", nn.softmax(logits), v)
         re, im = jnp.split(y, 2, -1)
         merged = jax.lax.complex(re, im).reshape(x.shape)
         return ComplexDense(channels, self.precision)(merged)
 
-    def split(self, x: Complex[Array, "*B T C"]) -> Float[Array, "*B T H E"]:
-        """Heads of (re, im) pairs: their real inner products are those of the tangent vectors."""
+    def split_heads(self, x: Complex[Array, "*B T C"]) -> Float[Array, "*B T H E"]:
+        """Heads of (re, im) pairs, whose real inner products are those of the tangent vectors."""
         return algebra.real_pairs(x.reshape(*x.shape[:-1], self.heads, -1))
 
 
 class TransformerLayer(nn.Module):
-    """Norm, attention, residual; norm, two VN layers, residual (Assaad et al.)."""
+    """x + attention(norm x), then x + two VN layers of norm x (Assaad et al., VN-Transformer)."""
 
     heads: int
     precision: Precision = "float32"
@@ -64,14 +63,14 @@ class TransformerLayer(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Colours times logs, a gathered token, VN-Transformer layers, and the token's posterior."""
+    """Sample tokens (colours times logs) and a mean token → VN-Transformer → posterior of the mean token."""
 
     config: FLVAE
 
     @nn.compact
     def __call__(self, rings: RingSamples) -> Posterior:
         c = self.config
-        # The paper lifts with a linear map, which sends black to nothing: an MLP with biases sees it.
+        # The paper lifts colours with a linear map, which sends black to zero; an MLP with biases does not.
         lifted = ComplexMLP((c.channels, c.channels), c.precision)(rings.colors) * rings.logs[..., None]
         filters = ComplexMLP((c.channels, c.channels), c.precision)(jnp.abs(rings.logs)[..., None])
         gathered = ComplexMLP((c.channels,), c.precision)(rings.colors) * filters * rings.logs[..., None]
@@ -82,7 +81,7 @@ class Encoder(nn.Module):
         return self.posterior(TokenNorm()(x[..., 0, :]))
 
     def posterior(self, token: Complex[Array, "*B C"]) -> Posterior:
-        """The mean by a two-layer VN MLP, log σ by an MLP on a learnt invariant product."""
+        """The mean by a two-layer VN MLP, log σ by an MLP on a learned invariant product."""
         c = self.config
         mean = ComplexDense(c.latents, c.precision)(VNLayer(c.channels, c.precision)(token))
         product = jnp.conj(token) * ComplexDense(c.channels, c.precision)(token)
@@ -91,7 +90,7 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """The field around a vertex: an MLP on log·z̄ and the upper triangle of z z* (paper, eq. 4)."""
+    """The colour field around a vertex: an MLP on log·z̄ and the upper triangle of z z* (paper, eq. 4)."""
 
     config: FLVAE
 

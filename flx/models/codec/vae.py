@@ -1,7 +1,7 @@
 """The field-latent VAE: one-ring colours → tangent vectors at the vertex → colours around it.
 
-A ring's code depends on that ring alone, whatever else is in the batch; a point's colour on the codes at the
-corners of its face. The encoder commutes with a change of the vertex's frame, the decoder is invariant.
+The code of a ring depends on that ring alone, not on the batch; the colour of a point depends on the codes at
+the corners of its face. The encoder commutes with a change of the vertex's frame; the decoder is invariant.
 """
 
 from typing import Any, get_args, get_type_hints
@@ -20,7 +20,7 @@ from flx.types import Queries, RingSamples
 
 
 class FieldLatentVAE(nn.Module):
-    """Encoder and decoder. `expand` is a vertex's share of decoding, `blend` and `corners` a point's."""
+    """Encoder and decoder. Decoding is `expand` once per vertex, then `blend` or `corners` per point."""
 
     config: FLVAE
 
@@ -36,15 +36,15 @@ class FieldLatentVAE(nn.Module):
         return self.encoder(rings)
 
     def expand(self, z: Complex[Array, "V D"]) -> Any:
-        """What the decoder makes of each vertex's code, whatever the point: arrays [V, …]."""
+        """The part of decoding that does not depend on the point: arrays [V, …]."""
         return self.decoder.expand(z)
 
     def corners(self, expanded: Any, queries: Queries) -> Float[Array, "P 3 3"]:
-        """The colour that each corner of a point's face predicts there; about [0, 1], not clipped."""
+        """The colour that each corner of a point's face predicts at the point; not clipped to [0, 1]."""
         return self.decoder(_at_corners(expanded, queries), queries.logs)
 
     def blend(self, expanded: Any, queries: Queries) -> Float[Array, "P 3"]:
-        """The colour at each point of a triangulation, continuous over its edges; not clipped."""
+        """The colour at each point of a triangulation, continuous across edges; not clipped to [0, 1]."""
         weights = blend_weights(queries.barycentrics, self.config.sharpness)
         if self.config.decoder == "interpolated":
             features = jnp.einsum("pk,pkf->pf", weights, _at_corners(expanded, queries))
@@ -52,7 +52,7 @@ class FieldLatentVAE(nn.Module):
         return jnp.einsum("pk,pkc->pc", weights, self.corners(expanded, queries))
 
     def __call__(self, rings: RingSamples, queries: Queries, key: Array) -> tuple[Array, Array, Posterior]:
-        """Encode, sample and decode at the points of one mesh: the blend, the corners, the posterior."""
+        """Encode, sample and decode at points of one mesh; returns the blend, the corners, the posterior."""
         posterior = self.encode(rings)
         expanded = self.expand(posterior.sample(key))
         blended = self.blend(expanded, queries)
@@ -62,7 +62,7 @@ class FieldLatentVAE(nn.Module):
 
 
 FAMILIES = {"transformer": transformer, "frame": frame}
-MAY_BE_ZERO = ("invariants", "layers", "depth")  # all other numbers are 1 or more
+MAY_BE_ZERO = ("invariants", "layers", "depth")  # fields whose least value is 0; for all others it is 1
 
 
 def _at_corners(expanded: Any, queries: Queries) -> Any:
@@ -70,7 +70,7 @@ def _at_corners(expanded: Any, queries: Queries) -> Any:
 
 
 def blend_weights(barycentrics: Float[Array, "P 3"], sharpness: float) -> Float[Array, "P 3"]:
-    """λᵢ^s / Σ λ^s: barycentric for s = 1 (paper); the larger s, the more of a face its corners keep."""
+    """λᵢ^s / Σ λ^s: barycentric for s = 1 (paper); with larger s, each corner dominates more of the face."""
     if sharpness == 1:
         return barycentrics
     weights = barycentrics**sharpness
@@ -78,12 +78,12 @@ def blend_weights(barycentrics: Float[Array, "P 3"], sharpness: float) -> Float[
 
 
 def check(config: FLVAE) -> None:
-    """Raises ValueError where a field has no such value, or the fields do not go together."""
+    """Raise ValueError if a field is out of range, or if fields contradict each other."""
     for name, kind in get_type_hints(FLVAE).items():
         value, choices = getattr(config, name), get_args(kind)
         least = 0 if name in MAY_BE_ZERO else 1
         if choices and value not in choices:
-            raise ValueError(f"model.{name} is {value!r}; say {' or '.join(choices)}")
+            raise ValueError(f"model.{name} is {value!r}; choose {' or '.join(choices)}")
         if not choices and not value >= least:
             raise ValueError(f"model.{name} is {value}; make it {least} or more")
     invariants, latents, vectors = config.invariants, config.latents, frame.VECTORS
@@ -97,8 +97,8 @@ def check(config: FLVAE) -> None:
         )
     if config.encoder == "frame" and not (1 <= invariants <= 3 and 1 <= latents - invariants <= vectors):
         raise ValueError(
-            f"model.invariants is {invariants} of {latents} latents; the frame encoder has 1 to 3, "
-            f"and 1 to {vectors} vectors beside them"
+            f"model.invariants is {invariants} of {latents} latents; the frame encoder needs 1 to 3, "
+            f"and 1 to {vectors} vectors"
         )
     if config.decoder == "interpolated" and config.sharpness != 1:
         raise ValueError(
@@ -109,8 +109,8 @@ def check(config: FLVAE) -> None:
 def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:
     """KL(posterior ‖ standard tangent noise) in nats, summed over the latent channels.
 
-    ½|μ|² + σ² − 1 − ln σ² per complex channel. (The paper prints the opposite sign and counts one of
-    the two real coordinates.)
+    It is ½|μ|² + σ² − 1 − ln σ² per complex channel. (The paper prints the opposite sign and counts only one
+    of the two real coordinates.)
     """
     mean, log_sigma = posterior
     terms = 0.5 * algebra.squared_modulus(mean) + jnp.exp(2 * log_sigma) - 1 - 2 * log_sigma
@@ -123,9 +123,9 @@ def flvae_loss(
     posterior: Posterior,
     kl_weight: float,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
-    """L1 summed over RGB plus the weighted KL summed over D, means over all else; with its metrics.
+    """L1 summed over RGB plus the weighted KL summed over D, each averaged over all else; and the metrics.
 
-    One colour may be held against several predictions of it, those of a face's corners.
+    `predicted` may hold several predictions of one colour, those of a face's corners.
     """
     l1 = jnp.mean(jnp.sum(jnp.abs(predicted - colors), -1))
     kl = jnp.mean(kl_divergence(posterior))

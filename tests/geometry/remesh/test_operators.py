@@ -14,12 +14,12 @@ from scipy.spatial import Delaunay, KDTree
 
 from flx.geometry.arrays import area_normals, length_of
 from flx.geometry.remesh import finishing
-from flx.geometry.remesh.deviation import Fit, Shapes, fit_of, gaps_of
+from flx.geometry.remesh.deviation import FaceQuality, MeasuredMesh, distances_to_mesh, measure_mesh
 from flx.geometry.remesh.features import features
-from flx.geometry.remesh.finishing import SHARP, widen_angles
-from flx.geometry.remesh.operators import collapse, disjoint, flip
+from flx.geometry.remesh.finishing import SHARP_COSINE, widen_angles
+from flx.geometry.remesh.operators import collapse_edges, disjoint, flip_edges
 from flx.geometry.remesh.planar import planar
-from flx.geometry.remesh.smoothing import Surface, smooth
+from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
 from flx.geometry.remesh.stars import independent, sharpest_cosines
 from flx.geometry.topology import (
     all_of,
@@ -88,13 +88,13 @@ def test_groups_taken_together_touch_nowhere_and_the_first_is_among_them(seed):
 # --- landing on a surface
 
 
-def two_sheets(apart: float, length: float, face_each_other: bool, side: int = 7) -> Surface:
+def two_sheets(apart: float, length: float, face_each_other: bool, side: int = 7) -> ReferenceSurface:
     """Unit squares at heights 0 and `apart`: a wall seen from outside, or a gap seen from within."""
     points, faces = square_grid(side)
     turned = faces[:, ::-1]
     low, high = (faces, turned) if face_each_other else (turned, faces)
     vertices = np.concatenate([points, points + apart * UP])
-    return Surface(vertices, np.ascontiguousarray(np.concatenate([low, high + len(points)])), length)
+    return ReferenceSurface(vertices, np.ascontiguousarray(np.concatenate([low, high + len(points)])), length)
 
 
 @settings(max_examples=150)
@@ -109,7 +109,7 @@ def two_sheets(apart: float, length: float, face_each_other: bool, side: int = 7
 def test_a_point_lands_on_the_sheet_that_faces_its_way_within_an_edge(
     apart, place, upwards, face_each_other, x, y
 ):
-    """Even where the other one is nearer; farther off it is not to be trusted."""
+    """Even where the other one is nearer; farther off it is not trusted."""
     length = 0.1
     apart = apart * length
     surface = two_sheets(apart, length, face_each_other)
@@ -118,10 +118,10 @@ def test_a_point_lands_on_the_sheet_that_faces_its_way_within_an_edge(
     off = abs(points[0, 2] - own)
     assume(abs(off - length) > 1e-6 and abs(place - 0.5) > 1e-6)
     normals = (1 if upwards else -1) * UP[None]
-    landed, trusted = surface.land(points, normals, np.zeros(1, int), np.zeros(1, bool))
+    landed, on_own_side = surface.project(points, normals, np.zeros(1, int), np.zeros(1, bool))
     nearer = off < apart / 2
-    assert trusted[0] == (nearer or off < length)
-    height = own if trusted[0] else apart - own
+    assert on_own_side[0] == (nearer or off < length)
+    height = own if on_own_side[0] else apart - own
     np.testing.assert_allclose(landed, [[x, y, height]], atol=1e-12)
 
 
@@ -143,26 +143,26 @@ def test_a_boundary_point_lands_on_the_boundary_of_its_own_sheet(
     normals = (1 if upwards else -1) * UP[None]
     inside = 0.5 * length < y < 1 - 0.5 * length  # nearest to this side of the square
     assume(inside)
-    landed, trusted = surface.land(points, normals, np.ones(1, int), np.ones(1, bool))
+    landed, on_own_side = surface.project(points, normals, np.ones(1, int), np.ones(1, bool))
     own = apart * length if upwards != face_each_other else 0.0
     np.testing.assert_allclose(landed, [[0, y, own]], atol=1e-12)
-    assert trusted[0]
+    assert on_own_side[0]
 
 
 def test_a_crease_vertex_lands_on_the_crease_and_others_on_faces():
     cube = box(1.0, 1.0, 1.0)
-    surface = Surface(*cube, 0.2)
+    surface = ReferenceSurface(*cube, 0.2)
     points = np.array([[0.45, 0.47, 0.1], [0.45, 0.47, 0.1], [0.3, 0.47, 0.1]])
     normals = np.array([[0.0, 1.0, 0.0]] * 3)
-    landed, trusted = surface.land(points, normals, np.array([1, 0, 1]), np.zeros(3, bool))
+    landed, on_own_side = surface.project(points, normals, np.array([1, 0, 1]), np.zeros(3, bool))
     expected = [[0.5, 0.5, 0.1], [0.45, 0.5, 0.1], [0.3, 0.5, 0.1]]  # the last is too far from any crease
     np.testing.assert_allclose(landed, expected, atol=1e-12)
-    assert trusted.all()
+    assert on_own_side.all()
 
 
 def test_smoothing_stays_on_the_surface_turns_no_face_and_leaves_what_is_pinned():
     surface, mesh = bumpy(4), rough(0)
-    whole = Surface(*surface, mean_edge(mesh))
+    whole = ReferenceSurface(*surface, mean_edge(mesh))
     pinned = np.random.default_rng(0).random(162) < 0.3
     smoothed = smooth(mesh, whole, 2, pinned).vertices
     np.testing.assert_array_equal(smoothed[pinned], mesh.vertices[pinned])
@@ -177,7 +177,7 @@ def test_no_smoothing_shrinks_a_face_to_nothing():
     for seed in range(3):
         mesh = planar(150, (1.0, 1.0), np.random.default_rng(seed), 1.0)
         area = igl.doublearea(*mesh)
-        after = smooth(mesh, Surface(*mesh, mean_edge(mesh)), 1)
+        after = smooth(mesh, ReferenceSurface(*mesh, mean_edge(mesh)), 1)
         up = area_normals(*after)[:, 2]
         assert (up >= np.minimum(0.1 * area.mean(), 0.9 * area) - 1e-12).all()
         assert np.ptp(up) < np.ptp(area)
@@ -192,7 +192,7 @@ def collapse_all(mesh: Triangulation, shortest: float, longest: float, bend: flo
     refused = np.zeros((0, 2), np.int64)
     while quiet < 12:
         known = len(refused)
-        mesh, done, refused = collapse(mesh, shortest, longest, rng, None, bend, refused)
+        mesh, done, refused = collapse_edges(mesh, shortest, longest, rng, None, bend, refused)
         some += known and done
         quiet = quiet + 1 if not done and len(refused) == known else 0
     return mesh, refused, some
@@ -202,7 +202,7 @@ def asked_alone(mesh: Triangulation, edge: np.ndarray, shortest: float, longest:
     """How many edges are collapsed where all but this one are refused."""
     edges = pairs_of(mesh)
     others = edges[(edges != np.sort(edge)).any(1)]
-    return collapse(mesh, shortest, longest, np.random.default_rng(0), None, bend, others).done
+    return collapse_edges(mesh, shortest, longest, np.random.default_rng(0), None, bend, others).done
 
 
 @settings(max_examples=6)
@@ -212,7 +212,7 @@ def test_an_edge_in_memory_is_one_that_is_refused_when_asked_alone(seed):
     h = mean_edge(mesh)
     limits = (1.1 * h, 1.6 * h, 0.9)
     assert not features(*mesh, topology(mesh.faces, 162))[1].any()
-    after = collapse(mesh, limits[0], limits[1], np.random.default_rng(seed), None, limits[2])
+    after = collapse_edges(mesh, limits[0], limits[1], np.random.default_rng(seed), None, limits[2])
     assert after.done > 3 and len(after.refused) > 3
     assert has_edge(
         topology(after.mesh.faces, len(after.mesh.vertices)), len(after.mesh.vertices), *after.refused.T
@@ -236,9 +236,9 @@ def test_collapsing_with_memory_ends_where_no_edge_can_be_collapsed(seed):
 
 def test_what_is_refused_is_not_asked():
     mesh = rough(0)
-    after = collapse(mesh, 9.0, 9.0, np.random.default_rng(0), None, -1.0, pairs_of(mesh))
+    after = collapse_edges(mesh, 9.0, 9.0, np.random.default_rng(0), None, -1.0, pairs_of(mesh))
     assert after.done == 0 and after.mesh.vertices.tobytes() == mesh.vertices.tobytes()
-    assert collapse(mesh, 9.0, 9.0, np.random.default_rng(0), None, -1.0).done > 10
+    assert collapse_edges(mesh, 9.0, 9.0, np.random.default_rng(0), None, -1.0).done > 10
 
 
 @settings(max_examples=10)
@@ -247,8 +247,8 @@ def test_a_collapse_keeps_topology_and_bounds_and_does_as_many_as_asked(seed, mo
     open_ = planar(80, (1.0, 1.0), np.random.default_rng(seed), 0.5)
     for mesh in (rough(seed), open_):
         h = mean_edge(mesh)
-        free = collapse(mesh, 1.2 * h, 1.7 * h, np.random.default_rng(seed), None, 0.5)
-        few = collapse(mesh, 1.2 * h, 1.7 * h, np.random.default_rng(seed), most, 0.5)
+        free = collapse_edges(mesh, 1.2 * h, 1.7 * h, np.random.default_rng(seed), None, 0.5)
+        few = collapse_edges(mesh, 1.2 * h, 1.7 * h, np.random.default_rng(seed), most, 0.5)
         assert free.done > 2 and few.done == min(most, free.done)
         for after in (free, few):
             assert len(after.mesh.vertices) == len(mesh.vertices) - after.done
@@ -263,7 +263,7 @@ def test_no_collapse_pinches_a_thin_ring():
     """Around a tube of three vertices every edge is short, and its ends have a neighbour across."""
     ring = torus(around=30, across=3, tube=0.1)
     for seed in range(3):
-        after = collapse(ring, 9.0, 9.0, np.random.default_rng(seed), None, -1.0)
+        after = collapse_edges(ring, 9.0, 9.0, np.random.default_rng(seed), None, -1.0)
         assert after.done > 0
         assert_sound(after.mesh)
         assert invariants(*after.mesh) == invariants(*ring)
@@ -301,7 +301,7 @@ def opposite_angles(mesh: Triangulation) -> tuple[np.ndarray, np.ndarray]:
 @given(seeds)
 def test_flips_end_where_every_edge_that_may_be_flipped_is_delaunay(seed):
     mesh = flattened(seed)
-    flipped = flip(mesh, np.random.default_rng(seed), delaunay=True, passes=200)
+    flipped = flip_edges(mesh, np.random.default_rng(seed), delaunay=True, passes=200)
     assert_sound(flipped)
     assert (opposite_angles(mesh)[1] > np.pi + 1e-3).sum() > 20
     edges, sums = opposite_angles(flipped)
@@ -321,7 +321,7 @@ def test_each_pass_of_flips_brings_valences_nearer_to_six_and_four(seed):
 
     before = [excess(mesh)]
     for _ in range(3):
-        flipped = flip(mesh, np.random.default_rng(seed), delaunay=False, passes=1)
+        flipped = flip_edges(mesh, np.random.default_rng(seed), delaunay=False, passes=1)
         before.append(excess(flipped))
         assert before[-1] < before[-2] or (flipped.faces == mesh.faces).all()
         mesh = flipped
@@ -332,7 +332,7 @@ def test_each_pass_of_flips_brings_valences_nearer_to_six_and_four(seed):
 def test_a_mesh_that_no_flip_makes_better_stays():
     mesh = icosphere(2)  # valences of 5 and 6
     for delaunay in (True, False):
-        flipped = flip(mesh, np.random.default_rng(0), delaunay=delaunay, passes=3)
+        flipped = flip_edges(mesh, np.random.default_rng(0), delaunay=delaunay, passes=3)
         np.testing.assert_array_equal(flipped.faces, mesh.faces)
 
 
@@ -341,7 +341,7 @@ def test_no_flip_leaves_a_vertex_of_two_edges():
     points = np.array([(0.0, 0, 0), (1, 0, 0), (2, 2, 0), (0, 1, 0)])
     kite = Triangulation(points, np.array([(0, 1, 2), (0, 2, 3)]))
     assert opposite_angles(kite)[1][0] > np.pi + 0.1
-    flipped = flip(kite, np.random.default_rng(0), delaunay=True, passes=3)
+    flipped = flip_edges(kite, np.random.default_rng(0), delaunay=True, passes=3)
     np.testing.assert_array_equal(flipped.faces, kite.faces)
 
 
@@ -353,7 +353,7 @@ def test_no_flip_joins_who_is_joined_on_the_other_side():
     back = np.asarray(Delaunay(points[:, :2]).simplices, np.int64)[:, ::-1]
     fan = np.array([(0, k, k + 1) for k in range(1, 13)])
     pillow = Triangulation(points, np.concatenate([fan, back]))
-    flipped = flip(pillow, rng, delaunay=True, passes=50)
+    flipped = flip_edges(pillow, rng, delaunay=True, passes=50)
     assert_sound(flipped)
     assert invariants(*flipped) == invariants(*pillow)
     assert len({*map(frozenset, flipped.faces.tolist())} - {*map(frozenset, pillow.faces.tolist())}) > 3
@@ -373,7 +373,7 @@ def test_no_flip_crosses_a_feature(delaunay):
         mesh = Triangulation(points, faces)
         topo = topology(faces, 150)
         held = topo.edges[features(points, faces, topo)[0]]
-        flipped = flip(mesh, rng, delaunay=delaunay, passes=20)
+        flipped = flip_edges(mesh, rng, delaunay=delaunay, passes=20)
         assert len(held) > boundary_loops(topo.edges[topo.boundary], 150)
         assert has_edge(topology(flipped.faces, 150), 150, *held.T).all()
         flips += len(set(map(tuple, pairs_of(flipped))) - set(map(tuple, pairs_of(mesh))))
@@ -391,10 +391,12 @@ def points_in(vertices: np.ndarray, faces: np.ndarray, n: int) -> np.ndarray:
     return np.einsum("pk,fkc->fpc", lattice(n), vertices[faces])
 
 
-def measured(mesh: Triangulation, surface: Triangulation, share: float) -> tuple[Surface, float, Fit]:
-    whole = Surface(*surface, mean_edge(mesh))
+def measured(
+    mesh: Triangulation, surface: Triangulation, share: float
+) -> tuple[ReferenceSurface, float, MeasuredMesh]:
+    whole = ReferenceSurface(*surface, mean_edge(mesh))
     gap = share * whole.length
-    return whole, gap, fit_of(mesh, whole, gap)
+    return whole, gap, measure_mesh(mesh, whole, gap)
 
 
 @pytest.mark.parametrize(("share", "height"), [(0.2, 0.25), (0.3, 0.3), (0.42, 0.4)])
@@ -405,7 +407,7 @@ def test_faces_are_as_far_from_the_surface_as_their_points(share, height):
     whole, gap, fit = measured(mesh, surface, share)
     dense = points_in(*mesh, 24)
     apart = whole.distances(dense.reshape(-1, 3)).reshape(dense.shape[:2]).max(1) / gap
-    found = fit.shapes.sags
+    found = fit.quality.sags
     asked = found > 0
     assert asked.sum() > 20 and (~asked).sum() > 20
     assert (found <= apart + 1e-12).all() and apart[~asked].max() <= 1
@@ -451,7 +453,7 @@ def test_points_of_the_surface_are_as_far_from_the_mesh_as_from_the_face_they_hi
 def test_no_wide_gap_goes_unasked(mesh, surface, share):
     _, gap, fit = measured(mesh, surface, share)
     dense = points_in(*surface, 9).reshape(-1, 3)
-    missed = dense[gaps_of(dense, *mesh)[0] > 1.15 * gap]
+    missed = dense[distances_to_mesh(dense, *mesh)[0] > 1.15 * gap]
     assert len(missed) > 100
     # No point of a face is farther than this from a lattice of 3 points to a side.
     room = (
@@ -467,18 +469,22 @@ def test_a_part_that_is_cut_out_and_put_back_changes_nothing(seed):
     rng = np.random.default_rng(seed)
     fit = fit._replace(kind=rng.integers(0, 3, 42))
     rows = np.flatnonzero(rng.random(80) < 0.4)
-    whole = [a.copy() for a in (*fit.shapes, *(x for x in fit if not isinstance(x, Shapes)))]
-    part, inside, asked = fit.cut(rows)
+    whole = [a.copy() for a in (*fit.quality, *(x for x in fit if not isinstance(x, FaceQuality)))]
+    part, inside, asked = fit.submesh(rows)
     np.testing.assert_array_equal(part.vertices[part.faces], fit.vertices[fit.faces[rows]])
     np.testing.assert_array_equal(part.kind, fit.kind[inside])
     np.testing.assert_array_equal(asked, np.flatnonzero(np.isin(fit.hits, rows)))
     np.testing.assert_array_equal(part.wide, fit.wide[rows])
-    gaps, _ = gaps_of(part.probes, part.vertices, part.faces)  # its probes are closest to its own faces
+    gaps, _ = distances_to_mesh(
+        part.probes, part.vertices, part.faces
+    )  # its probes are closest to its own faces
     np.testing.assert_allclose(gaps / gap, part.gaps, atol=1e-12)
     fit.vertices[inside], fit.faces[rows] = part.vertices, inside[part.faces]
-    fit.shapes.put(rows, part.shapes)
+    fit.quality.put(rows, part.quality)
     fit.gaps[asked], fit.hits[asked] = part.gaps, rows[part.hits]
-    for new, old in zip((*fit.shapes, *(x for x in fit if not isinstance(x, Shapes))), whole, strict=True):
+    for new, old in zip(
+        (*fit.quality, *(x for x in fit if not isinstance(x, FaceQuality))), whole, strict=True
+    ):
         np.testing.assert_array_equal(new, old)
 
 
@@ -496,7 +502,7 @@ def worst_at(mesh: Triangulation) -> np.ndarray:
 @given(seeds)
 def test_a_vertex_moves_only_where_its_sharpest_corner_widens(seed):
     mesh = random_sphere(150, seed)
-    surface = Surface(*mesh, mean_edge(mesh))
+    surface = ReferenceSurface(*mesh, mean_edge(mesh))
     pinned = np.random.default_rng(seed).random(150) < 0.3
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(finishing, "TRIES", 1)
@@ -505,7 +511,7 @@ def test_a_vertex_moves_only_where_its_sharpest_corner_widens(seed):
     moved = (after.vertices != mesh.vertices).any(1)
     assert moved.sum() > 3 and not moved[pinned].any()
     before = worst_at(mesh)
-    assert (worst_at(after) < before)[moved].all() and (before > SHARP)[moved].all()
+    assert (worst_at(after) < before)[moved].all() and (before > SHARP_COSINE)[moved].all()
     assert not all_of(moved, pairs_of(mesh)).any()
     assert surface.distances(after.vertices).max() < 1e-12
     np.testing.assert_array_equal(after.faces, mesh.faces)
@@ -516,10 +522,10 @@ def test_a_vertex_moves_only_where_its_sharpest_corner_widens(seed):
 def test_angles_widen_and_corners_of_the_boundary_stay(seed):
     mesh = planar(150, (1.0, 1.0), np.random.default_rng(seed), 0.0)
     after = widen_angles(
-        mesh, np.zeros(150, bool), Surface(*mesh, mean_edge(mesh)), np.random.default_rng(seed)
+        mesh, np.zeros(150, bool), ReferenceSurface(*mesh, mean_edge(mesh)), np.random.default_rng(seed)
     )
     before, sharp = sharpest_cosines(*mesh), sharpest_cosines(*after)
-    assume(before.max() < finishing.NARROW)  # corners give way to needles
-    assert sharp.max() <= before.max() and (sharp > SHARP).sum() < 0.7 * (before > SHARP).sum()
+    assume(before.max() < finishing.NARROW_COSINE)  # corners give way to needles
+    assert sharp.max() <= before.max() and (sharp > SHARP_COSINE).sum() < 0.7 * (before > SHARP_COSINE).sum()
     np.testing.assert_array_equal(after.vertices[:4], mesh.vertices[:4])
     assert igl.doublearea(*after).min() > 0 and igl.doublearea(*after).sum() == pytest.approx(2, rel=1e-12)

@@ -9,11 +9,19 @@ from hypothesis import strategies as st
 
 from flx.geometry.arrays import area_normals
 from flx.geometry.remesh import tighten as tightening
-from flx.geometry.remesh.deviation import EASY, fit_of, gaps_of, shapes_of
+from flx.geometry.remesh.deviation import EASY, distances_to_mesh, measure_faces, measure_mesh
 from flx.geometry.remesh.finishing import finish
-from flx.geometry.remesh.smoothing import Surface
+from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import longest_sides, sharpest_cosines
-from flx.geometry.remesh.tighten import FAIR, LONGEST, NEEDLE, WIDEST, gap_to_close, reach, tighten
+from flx.geometry.remesh.tighten import (
+    FAIR_COSINE,
+    LONGEST_EDGE,
+    NEEDLE_COSINE,
+    WIDEST,
+    gap_to_close,
+    pin_missed_points,
+    tighten,
+)
 from flx.geometry.topology import invariants, topology
 from flx.types import Triangulation
 
@@ -33,10 +41,12 @@ def hedgehog() -> Triangulation:
     return spiky(4, dict.fromkeys(range(0, 2562, 100), 0.25))
 
 
-def reached(mesh: Triangulation, surface: Surface, pinned: list[int] | None = None):
+def reached(mesh: Triangulation, surface: ReferenceSurface, pinned: list[int] | None = None):
     """`reach` all of the surface: the mesh, and who is pinned and who has moved."""
     held = np.isin(np.arange(len(mesh.vertices)), pinned or [])
-    after, held, again = reach(mesh, surface, 0.2 * surface.length, held, np.arange(len(surface.probes)))
+    after, held, again = pin_missed_points(
+        mesh, surface, 0.2 * surface.length, held, np.arange(len(surface.probes))
+    )
     assert after.faces.tobytes() == mesh.faces.tobytes()
     moved = np.flatnonzero((after.vertices != mesh.vertices).any(1))
     return after, set(np.flatnonzero(held)), set(moved), again
@@ -47,11 +57,13 @@ def reached(mesh: Triangulation, surface: Surface, pinned: list[int] | None = No
 
 def test_the_tip_of_a_lone_spike_is_reached_exactly_and_pinned():
     mesh = icosphere(2)
-    surface = Surface(*spiky(4, {50: 0.3, 90: 0.05}), mean_edge(mesh))  # the other one is not far off
+    surface = ReferenceSurface(
+        *spiky(4, {50: 0.3, 90: 0.05}), mean_edge(mesh)
+    )  # the other one is not far off
     after, pinned, moved, again = reached(mesh, surface)
     assert pinned == moved == {50}
     np.testing.assert_array_equal(after.vertices[50], surface.vertices[50])
-    far = gaps_of(surface.probes, *mesh)[0] > 0.1 * surface.length
+    far = distances_to_mesh(surface.probes, *mesh)[0] > 0.1 * surface.length
     np.testing.assert_array_equal(again, np.flatnonzero(far))
     assert reached(mesh, surface, [50])[2] == set()  # who is pinned stays
 
@@ -59,7 +71,7 @@ def test_the_tip_of_a_lone_spike_is_reached_exactly_and_pinned():
 def test_of_two_neighbours_the_one_that_misses_more_goes_first():
     mesh = icosphere(2)
     a, b = topology(mesh.faces, 162).edges[100].tolist()
-    surface = Surface(*spiky(4, {a: 0.2, b: 0.3}), mean_edge(mesh))
+    surface = ReferenceSurface(*spiky(4, {a: 0.2, b: 0.3}), mean_edge(mesh))
     after, pinned, moved, _ = reached(mesh, surface)
     assert pinned == moved == {b}
     after, pinned, moved, _ = reached(after, surface, [b])
@@ -72,14 +84,14 @@ def test_boundary_vertices_stay_and_so_does_who_would_have_to_turn():
     for tip, goes in ((3, False), (24, True)):  # the middles of a side and of the square
         pulled = Triangulation(mesh.vertices.copy(), mesh.faces)
         pulled.vertices[tip, 2] = 0.1
-        assert reached(mesh, Surface(*pulled, 0.15))[2] == ({tip} if goes else set())
-        inside_out = Surface(pulled.vertices, np.ascontiguousarray(pulled.faces[:, ::-1]), 0.15)
+        assert reached(mesh, ReferenceSurface(*pulled, 0.15))[2] == ({tip} if goes else set())
+        inside_out = ReferenceSurface(pulled.vertices, np.ascontiguousarray(pulled.faces[:, ::-1]), 0.15)
         assert reached(mesh, inside_out)[2] == set()
 
 
 def test_nobody_goes_where_its_faces_become_needles():
     mesh = icosphere(2)
-    surface = Surface(*spiky(4, {50: 3.0}), mean_edge(mesh))
+    surface = ReferenceSurface(*spiky(4, {50: 3.0}), mean_edge(mesh))
     assert reached(mesh, surface)[1:3] == (set(), set())
 
 
@@ -93,9 +105,9 @@ def test_a_fine_mesh_closes_every_gap_and_a_coarse_one_its_widest():
         (0.3, many, True),  # more than are closed
         (0.3, {}, False),  # none is wide
     ):
-        surface = Surface(*spiky(4, tips), length)
+        surface = ReferenceSurface(*spiky(4, tips), length)
         found = gap_to_close(mesh, surface)
-        gaps = gaps_of(surface.probes, *mesh)[0]
+        gaps = distances_to_mesh(surface.probes, *mesh)[0]
         assert found >= surface.gap and (found > surface.gap) == coarse
         if coarse:
             assert abs((gaps > found).mean() - WIDEST) <= 1 / len(gaps)
@@ -105,13 +117,13 @@ def test_a_fine_mesh_closes_every_gap_and_a_coarse_one_its_widest():
 # --- tightening
 
 
-def cost(mesh: Triangulation, surface: Surface, gap: float, probes: np.ndarray) -> float:
+def cost(mesh: Triangulation, surface: ReferenceSurface, gap: float, probes: np.ndarray) -> float:
     """The sum of squared excesses: of faces, of their corners, and of points of the surface."""
-    shapes = shapes_of(*mesh, surface, gap)
-    gaps = gaps_of(probes, *mesh)[0] / gap
+    shapes = measure_faces(*mesh, surface, gap)
+    gaps = distances_to_mesh(probes, *mesh)[0] / gap
     return float(
         shapes.excess.sum()
-        + (np.maximum(shapes.cosines - FAIR, 0) ** 2).sum()
+        + (np.maximum(shapes.cosines - FAIR_COSINE, 0) ** 2).sum()
         + (np.maximum(gaps - EASY, 0) ** 2).sum()
     )
 
@@ -120,8 +132,8 @@ def cost(mesh: Triangulation, surface: Surface, gap: float, probes: np.ndarray) 
 @given(seeds)
 def test_a_try_never_costs_more_nor_turns_or_stretches_a_face(seed):
     mesh = rough(seed)
-    surface = Surface(*hedgehog(), mean_edge(mesh))
-    probes = fit_of(mesh, surface, surface.gap).probes
+    surface = ReferenceSurface(*hedgehog(), mean_edge(mesh))
+    probes = measure_mesh(mesh, surface, surface.gap).probes
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tightening, "LAPS", 1)
         patch.setattr(tightening, "TRIES", 2)  # moves, then flips
@@ -134,11 +146,11 @@ def test_a_try_never_costs_more_nor_turns_or_stretches_a_face(seed):
     assert outward.min() > 0
 
 
-def check_sound(mesh: Triangulation, after: Triangulation, surface: Surface) -> None:
+def check_sound(mesh: Triangulation, after: Triangulation, surface: ReferenceSurface) -> None:
     assert_sound(after)
     assert invariants(*after) == invariants(*mesh)
-    assert longest_sides(*after).max() <= max(longest_sides(*mesh).max(), LONGEST * surface.length)
-    assert sharpest_cosines(*after).max() <= max(sharpest_cosines(*mesh).max(), NEEDLE)
+    assert longest_sides(*after).max() <= max(longest_sides(*mesh).max(), LONGEST_EDGE * surface.length)
+    assert sharpest_cosines(*after).max() <= max(sharpest_cosines(*mesh).max(), NEEDLE_COSINE)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -146,9 +158,9 @@ def test_most_of_what_a_mesh_misses_is_tightened_and_the_rest_left_as_it_is(seed
     """Of 26 spikes on one side of a sphere; one lap of tries leaves half of the cost."""
     mesh = rough(seed, 0.03)
     tips = np.flatnonzero(icosphere(4).vertices[:, 0] > 0.2)[::40]
-    surface = Surface(*spiky(4, dict.fromkeys(tips.tolist(), 0.25)), mean_edge(mesh))
+    surface = ReferenceSurface(*spiky(4, dict.fromkeys(tips.tolist(), 0.25)), mean_edge(mesh))
     gap = surface.gap
-    probes = fit_of(mesh, surface, gap).probes
+    probes = measure_mesh(mesh, surface, gap).probes
     after = tighten(mesh, surface, gap, np.random.default_rng(seed))
     costs = [cost(each, surface, gap, probes) for each in (mesh, after)]
     assert costs[1] < 0.3 * costs[0]
@@ -160,8 +172,8 @@ def test_most_of_what_a_mesh_misses_is_tightened_and_the_rest_left_as_it_is(seed
 
 def test_a_mesh_that_is_its_own_surface_comes_back_bit_for_bit():
     mesh = icosphere(3)
-    assert sharpest_cosines(*mesh).max() < FAIR
-    after = tighten(mesh, Surface(*mesh, mean_edge(mesh)), 0.01, np.random.default_rng(0))
+    assert sharpest_cosines(*mesh).max() < FAIR_COSINE
+    after = tighten(mesh, ReferenceSurface(*mesh, mean_edge(mesh)), 0.01, np.random.default_rng(0))
     assert after.vertices.tobytes() == mesh.vertices.tobytes() and (after.faces == mesh.faces).all()
 
 
@@ -169,11 +181,11 @@ def test_a_mesh_that_is_its_own_surface_comes_back_bit_for_bit():
 def test_a_finished_mesh_reaches_tips_and_leaves_few_wide_gaps(seed, monkeypatch):
     """Of 26 spikes. Without reaching 4 and 1 are touched; without tightening 50 and 39 faces stay too far."""
     monkeypatch.setattr(tightening, "COARSE", 1.0)  # as on a mesh so fine that it closes every gap
-    surface = Surface(*hedgehog(), mean_edge(rough(seed)))
+    surface = ReferenceSurface(*hedgehog(), mean_edge(rough(seed)))
     after = finish(rough(seed), surface, np.random.default_rng(seed))
-    off = gaps_of(surface.vertices[::100], *after)[0]
+    off = distances_to_mesh(surface.vertices[::100], *after)[0]
     assert (off < 1e-9).sum() >= 7
-    assert fit_of(after, surface, surface.gap).wide.sum() <= 5
+    assert measure_mesh(after, surface, surface.gap).wide.sum() <= 5
 
 
 def test_no_gap_is_taken_for_narrower_than_it_is(monkeypatch):
@@ -182,9 +194,9 @@ def test_no_gap_is_taken_for_narrower_than_it_is(monkeypatch):
 
     def watched(fit, change, surface, gap):
         tried(fit, change, surface, gap)
-        short.append((gaps_of(fit.probes, fit.vertices, fit.faces)[0] / gap - fit.gaps).max())
+        short.append((distances_to_mesh(fit.probes, fit.vertices, fit.faces)[0] / gap - fit.gaps).max())
 
     monkeypatch.setattr(tightening, "_take_over", watched)
-    surface = Surface(*hedgehog(), mean_edge(rough(0)))
+    surface = ReferenceSurface(*hedgehog(), mean_edge(rough(0)))
     tighten(rough(0), surface, surface.gap, np.random.default_rng(0))
     assert len(short) > 100 and max(short) < 1e-9

@@ -148,7 +148,7 @@ def test_polynomials_are_recovered_by_least_squares():
 def test_a_polynomial_of_low_degree_is_the_start_of_one_of_high_degree():
     u = tangent_noise(jax.random.key(0), (4, 9))
     low = polynomials.basis(u, 3)
-    constant, pairs, _ = polynomials.rows(3)
+    constant, pairs, _ = polynomials.coefficient_rows(3)
     assert low.shape[-1] == polynomials.size(3) == len(constant) + 2 * len(pairs)
     np.testing.assert_allclose(polynomials.basis(u, 5)[..., : polynomials.size(3)], low, rtol=1e-6)
 
@@ -159,7 +159,7 @@ def test_each_order_of_a_polynomial_turns_at_its_own_speed(angle):
     zeroth, pairs = polynomials.by_order(coefficients, 5)
     np.testing.assert_array_equal(polynomials.from_orders(zeroth, pairs, 5), coefficients)
 
-    turn = np.exp(1j * angle) ** np.array(polynomials.rows(5)[2])[:, None]
+    turn = np.exp(1j * angle) ** np.array(polynomials.coefficient_rows(5)[2])[:, None]
     faster = polynomials.from_orders(zeroth, pairs * turn.astype(np.complex64), 5)
     u = tangent_noise(jax.random.key(0), (4, 9))
     here = polynomial_at(u, coefficients)
@@ -179,7 +179,7 @@ def test_an_upright_ring_looks_the_same_in_every_frame():
 
 def test_a_code_is_split_as_it_was_joined():
     r = frame.upright(rings(12))
-    scalars, vectors = frame.split(frame.join(r.scalars[:, :6], r.vectors), 3)
+    scalars, vectors = frame.split_code(frame.join_code(r.scalars[:, :6], r.vectors), 3)
     np.testing.assert_array_equal(scalars, r.scalars[:, :6])
     np.testing.assert_array_equal(vectors, r.vectors)
 
@@ -247,8 +247,8 @@ def test_components_are_measured_by_colours_where_samples_count():
     """The norm of coefficients in the metric is the weighted mean square of their polynomial."""
     logs = rings(200, samples=64).logs
     metric, _ = frame._metrics(logs)
-    constant = polynomials.rows(frame.FITTED)[0]
-    terms = np.asarray(polynomials.basis(logs.ravel(), frame.FITTED), np.float64)[:, constant]
+    constant = polynomials.coefficient_rows(frame.FITTED_DEGREE)[0]
+    terms = np.asarray(polynomials.basis(logs.ravel(), frame.FITTED_DEGREE), np.float64)[:, constant]
     coefficients = np.random.default_rng(0).normal(size=(len(constant), 3))
     expected = weights_of(logs.ravel()) @ ((terms @ coefficients) ** 2).sum(1)
     np.testing.assert_allclose(((coefficients.ravel() @ metric) ** 2).sum(), expected, rtol=1e-4)
