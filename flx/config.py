@@ -15,11 +15,16 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
 Filter = Literal["harmonic", "mlp"]
+FRAME_VECTORS = 48  # the most vectors that the frame encoder can give a code: those of its polynomials
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
 def _check(part: str, values: object, **least: int | float) -> None:
-    """Raises ValueError for a number that is less than its least, or none at all."""
+    """Raises ValueError for a word that is not one of its field's, and for a number below its least."""
+    for name, kind in get_type_hints(type(values)).items():
+        choices, value = get_args(kind), getattr(values, name)
+        if get_origin(kind) is Literal and value not in choices:
+            raise ValueError(f"{part}.{name} is {value!r}; choose {' or '.join(choices)}")
     for name, low in least.items():
         if not getattr(values, name) >= low:
             raise ValueError(f"{part}.{name} is {getattr(values, name)}; give at least {low}")
@@ -47,7 +52,25 @@ class FLVAE:
 
     def __post_init__(self) -> None:
         _check("model", self, channels=1, layers=0, heads=1, latents=1, invariants=0, samples=1)
-        _check("model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=0, sharpness=0)
+        _check("model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=1, sharpness=1)
+        invariants, vectors = self.invariants, self.latents - self.invariants
+        if self.encoder == "transformer" and invariants:
+            raise ValueError(
+                f"model.invariants is {invariants}, but the transformer's codes are vectors: make it 0"
+            )
+        if self.encoder == "transformer" and self.channels % self.heads:
+            raise ValueError(
+                f"model.heads is {self.heads}; make it a divisor of model.channels, {self.channels}"
+            )
+        if self.encoder == "frame" and not (1 <= invariants <= 3 and 1 <= vectors <= FRAME_VECTORS):
+            raise ValueError(
+                f"model.invariants is {invariants} of {self.latents} latents; the frame encoder needs "
+                f"1 to 3, and 1 to {FRAME_VECTORS} vectors"
+            )
+        if self.decoder == "interpolated" and self.sharpness != 1:
+            raise ValueError(
+                f"model.sharpness is {self.sharpness}, but the interpolated decoder is barycentric: make it 1"
+            )
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import igl
 import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt
 
-from flx.geometry.arrays import area_normals
+from flx.geometry.arrays import area_normals, face_areas
 from flx.geometry.raster import CHUNK
 from flx.types import Slot, SurfacePoints, TexturedMesh, Triangulation
 

@@ -7,7 +7,7 @@ from jax import Array
 
 from flx.config import FLVAEExperiment
 from flx.models.codec import frame
-from flx.models.codec.vae import FieldLatentVAE, check, flvae_loss
+from flx.models.codec.vae import FieldLatentVAE, flvae_loss
 from flx.pipeline.codec import Codec, initial_params, save_codec
 from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, PatchBatch, first_rings
 from flx.training.loop import LossFn, train
@@ -16,7 +16,6 @@ from flx.training.run import Run, open_run
 
 def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     """Train a field-latent VAE on a folder of images; the run folder gets `flvae.safetensors`."""
-    check(experiment.model)  # before a run folder is made for it
     patches = ImagePatches(experiment.images, experiment.model, experiment.train.batch)
     run = open_run(root, experiment, patches.digest)
     state = train(

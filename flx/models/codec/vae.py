@@ -4,7 +4,7 @@ The code of a ring depends on that ring alone, not on the batch; the colour of a
 the corners of its face. The encoder commutes with a change of the vertex's frame; the decoder is invariant.
 """
 
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import flax.linen as nn
 import jax
@@ -25,7 +25,6 @@ class FieldLatentVAE(nn.Module):
     config: FLVAE
 
     def setup(self) -> None:
-        check(self.config)
         family: Any = FAMILIES[self.config.encoder]
         self.encoder = family.Encoder(self.config)
         decoder: Any = interpolated if self.config.decoder == "interpolated" else family
@@ -62,7 +61,6 @@ class FieldLatentVAE(nn.Module):
 
 
 FAMILIES = {"transformer": transformer, "frame": frame}
-MAY_BE_ZERO = ("invariants", "layers", "depth")  # fields whose least value is 0; for all others it is 1
 
 
 def _at_corners(expanded: Any, queries: Queries) -> Any:
@@ -75,35 +73,6 @@ def blend_weights(barycentrics: Float[Array, "P 3"], sharpness: float) -> Float[
         return barycentrics
     weights = barycentrics**sharpness
     return weights / jnp.sum(weights, -1, keepdims=True)
-
-
-def check(config: FLVAE) -> None:
-    """Raise ValueError if a field is out of range, or if fields contradict each other."""
-    for name, kind in get_type_hints(FLVAE).items():
-        value, choices = getattr(config, name), get_args(kind)
-        least = 0 if name in MAY_BE_ZERO else 1
-        if choices and value not in choices:
-            raise ValueError(f"model.{name} is {value!r}; choose {' or '.join(choices)}")
-        if not choices and not value >= least:
-            raise ValueError(f"model.{name} is {value}; make it {least} or more")
-    invariants, latents, vectors = config.invariants, config.latents, frame.VECTORS
-    if config.encoder == "transformer" and invariants:
-        raise ValueError(
-            f"model.invariants is {invariants}, but the transformer's codes are vectors: make it 0"
-        )
-    if config.encoder == "transformer" and config.channels % config.heads:
-        raise ValueError(
-            f"model.heads is {config.heads}; make it a divisor of model.channels, {config.channels}"
-        )
-    if config.encoder == "frame" and not (1 <= invariants <= 3 and 1 <= latents - invariants <= vectors):
-        raise ValueError(
-            f"model.invariants is {invariants} of {latents} latents; the frame encoder needs 1 to 3, "
-            f"and 1 to {vectors} vectors"
-        )
-    if config.decoder == "interpolated" and config.sharpness != 1:
-        raise ValueError(
-            f"model.sharpness is {config.sharpness}, but the interpolated decoder is barycentric: make it 1"
-        )
 
 
 def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:

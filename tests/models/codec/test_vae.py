@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flx.config import FLVAE
+from flx.config import FLVAE, FRAME_VECTORS
 from flx.fields import polynomials
 from flx.fields.algebra import complex_linear, real_pairs, tangent_noise
 from flx.models.codec import frame
@@ -306,11 +306,18 @@ def test_the_loss_is_zero_only_for_the_right_colours():
 
 
 @pytest.mark.parametrize(
-    "config", [replace(SMALL, invariants=2), replace(SMALL, encoder="frame"), replace(FRAME, latents=3)]
+    ("config", "changed"),
+    [(SMALL, {"invariants": 2}), (SMALL, {"encoder": "frame"}), (FRAME, {"latents": 3})],
 )
-def test_codes_that_an_encoder_cannot_make_are_refused(config):
+def test_codes_that_an_encoder_cannot_make_are_refused(config, changed):
     with pytest.raises(ValueError, match="invariants"):
-        initial_params(config, 0)
+        replace(config, **changed)
+
+
+def test_a_frame_code_has_at_most_the_vectors_of_its_polynomials():
+    assert frame.VECTORS == FRAME_VECTORS
+    with pytest.raises(ValueError, match="1 to 48 vectors"):
+        replace(FRAME, latents=FRAME.invariants + FRAME_VECTORS + 1)
 
 
 @pytest.mark.parametrize(
@@ -331,10 +338,10 @@ def test_codes_that_an_encoder_cannot_make_are_refused(config):
 )
 def test_fields_that_make_no_model_are_refused_by_name_in_one_line(config, changed):
     ((field, value),) = changed.items()
-    config = replace(config)
-    object.__setattr__(config, field, value)  # past the types, which are checked in tests only
+    broken = replace(config)
+    object.__setattr__(broken, field, value)  # past the types, which are checked in tests only
     with pytest.raises(ValueError, match=f"^model.{field} is '?{value}") as caught:
-        initial_params(config, 0)
+        broken.__post_init__()
     assert "\n" not in str(caught.value)
 
 
