@@ -214,10 +214,12 @@ def build_gltf(
         for slot, texture in paint.textures.items():
             if (slot, texture) in images:
                 _holder(material, slot)[texture_key(slot)] = {"index": images[slot, texture]}
-                if slot == "metallic_roughness":
-                    pbr["metallicFactor"] = 1.0  # factors multiply the image
-                elif slot == "emissive":
-                    material["emissiveFactor"] = [1.0, 1.0, 1.0]
+                if slot == "emissive":
+                    material["emissiveFactor"] = [
+                        1.0,
+                        1.0,
+                        1.0,
+                    ]  # it multiplies the image, and is 0 if not said
         color = [1.0, 1.0, 1.0]
         if ("base_color", paint.texture) not in images and colors is None:
             color = linear(np.array(paint.color)).tolist()
