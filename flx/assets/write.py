@@ -249,8 +249,8 @@ def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
     ends = np.cumsum([len(part.positions) for part in asset.parts])
     colors = None if asset.textures else np.split(painting.colors, ends[:-1])
     own: dict[Slot, Images] = {slot: layer.images for slot, layer in asset.mesh.maps.items()}
-    kept = {} if isinstance(asset.container, Gltf) else own
-    maps: dict[Slot, Images] = {**kept, **painting.maps}
+    rest = {} if isinstance(asset.container, Gltf) else own
+    maps: dict[Slot, Images] = {**rest, **painting.maps}
     pngs: dict[Slot, dict[int, bytes]] = {}
     for slot, images in maps.items():
         textures = enumerate(asset.sources[slot])

@@ -177,11 +177,11 @@ def _show(document: dict, texture: int, image: int) -> None:
     """The texture shows the image, in the one format that every reader knows."""
     entry = document["textures"][texture]
     entry["source"] = image
-    others = entry.get("extensions", {})
-    kept = {k: v for k, v in others.items() if k not in ("EXT_texture_webp", "KHR_texture_basisu")}
+    extensions = entry.get("extensions", {})
+    remaining = {k: v for k, v in extensions.items() if k not in ("EXT_texture_webp", "KHR_texture_basisu")}
     entry.pop("extensions", None)
-    if kept:
-        entry["extensions"] = kept
+    if remaining:
+        entry["extensions"] = remaining
 
 
 def build_gltf(
