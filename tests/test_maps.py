@@ -193,9 +193,7 @@ def test_a_map_is_read_at_its_own_coordinates(tmp_path):
 
 def test_a_slot_that_no_material_has_is_refused_by_name(tmp_path):
     path = save(with_maps(), tmp_path / "a.glb")
-    with pytest.raises(
-        ValueError, match=r"no material has an? emissive map \(.*metallic_roughness, normal\)"
-    ):
+    with pytest.raises(ValueError, match=r"there is no emissive map \(.*metallic_roughness, normal\)"):
         read_asset(path, slots=["emissive"])
 
 
@@ -335,7 +333,7 @@ def test_an_obj_names_its_maps(tmp_path, lines, names):
     [
         (["map_Pr n.png"], "metallic_roughness", "map_Pr and map_Pm of 'a' are not read; convert"),
         (["norm -s 2 2 2 n.png"], "normal", "the normal map of 'a' and its map_Kd have -s or -o; convert"),
-        (["norm n.png"], "occlusion", "no material has an? occlusion map"),
+        (["norm n.png"], "occlusion", "there is no occlusion map"),
         (["norm gone.png"], "normal", "'gone.png' does not exist; put it beside the mesh$"),
     ],
 )
