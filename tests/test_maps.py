@@ -269,6 +269,28 @@ def test_an_image_that_another_slot_shows_stays(tmp_path):
     assert (again.maps["occlusion"].images[0] == 10).all()
 
 
+def test_vertex_colours_stay_where_only_another_map_is_new(tmp_path):
+    gltf = with_maps()
+    document, views = copy.deepcopy(gltf.document), list(gltf.views)
+    for material in document["materials"]:
+        material["pbrMetallicRoughness"].pop("baseColorTexture")
+    colors = np.random.default_rng(0).uniform(size=(4, 3)).astype(np.float32)
+    entry = document["accessors"][0] | {"bufferView": append_view(document, views, colors.tobytes())}
+    number = append(document, "accessors", entry)
+    for primitive in document["meshes"][0]["primitives"][:2]:
+        primitive["attributes"]["COLOR_0"] = number
+    asset = read_asset(save(Gltf(document, tuple(views)), tmp_path / "a.glb"), slots=["normal"])
+    assert asset.report.color_source == "vertex colours"
+    new = numbers(3, 3, 3)
+    write(asset, Painting({"normal": (new, asset.mesh.maps["normal"].images[1])}), tmp_path / "out.glb")
+    again = read_asset(tmp_path / "out.glb", slots=["normal"])
+    assert read_asset(tmp_path / "out.glb").digest == read_asset(asset.path).digest
+    np.testing.assert_array_equal(again.mesh.maps["normal"].images[0], new)
+    assert without_storage(read_gltf(tmp_path / "out.glb").document) == without_storage(document)
+    with pytest.raises(ValueError, match="0 colours for the 8 vertices"):
+        write(asset, Painting({}), tmp_path / "none.glb")
+
+
 def test_a_painting_that_does_not_fit_is_refused_in_one_line(tmp_path):
     asset = read_asset(save(with_maps(), tmp_path / "a.glb"), slots=["normal"])
     maps = asset.mesh.maps["normal"].images
