@@ -102,7 +102,7 @@ def faults_of(path: Path) -> Iterator[None]:
 
 
 def _check(parts: Sequence[Part]) -> None:
-    """What nothing later looks at: indices in range, and numbers that one can reckon with."""
+    """Raises ValueError for indices out of range, and for numbers that are not finite or too large."""
     if not parts:
         raise ValueError("no triangles; export the mesh with faces")
     for part in parts:
@@ -175,7 +175,7 @@ def _wanted_maps(contents: Contents, used: Sequence[int], slot: Slot) -> dict[in
     wanted = {m: name for m in used if (name := contents.materials[m].maps.get(slot))}
     if not wanted:
         others = ", ".join(sorted({name for m in used for name in contents.materials[m].maps})) or "none"
-        raise ValueError(f"no material has a {slot} map (other maps: {others}); leave it out of slots")
+        raise ValueError(f"there is no {slot} map (other maps: {others}); leave it out of slots")
     return wanted
 
 
@@ -258,7 +258,7 @@ def _colors(part: Part, material: Material) -> Any:
 
 
 def _paint(material: Material, index: int, choices: dict[Slot, Choice]) -> Paint:
-    """Alpha counts where the material says so: a picture's own alpha may be anything that was left there."""
+    """Alpha counts where the material says so: an image may hold alpha that nobody meant."""
     images: dict[Slot, int] = {
         slot: choice.image_of[index] for slot, choice in choices.items() if index in choice.image_of
     }

@@ -66,9 +66,7 @@ def vase() -> TexturedMesh:
 def vase_asset() -> Asset:
     """The vase as a GLB holds it: one glazed PBR material, vertices split along UV seams."""
     mesh = vase()
-    u, v = np.moveaxis(mesh.corner_uvs, -1, 0)
-    # 1 − (1 − v): the vase went through a file whose v runs up, and prepared runs know it by the last bit.
-    rows, uvs, faces = split_corners(mesh.faces, np.stack([u, 1 - (1 - v)], -1))
+    rows, uvs, faces = split_corners(mesh.faces, mesh.corner_uvs)
     by_angle = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
     normals = np.asarray(igl.per_vertex_normals(mesh.vertices, mesh.faces, by_angle))[rows]
     part = Part("vase", 0, mesh.vertices[rows], normals, uvs, None, faces)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, Num, UInt8
 from PIL import Image
 
-from flx.assets.asset import Asset, Images, Painting
+from flx.assets.asset import Asset, Images, Painting, own_painting
 from flx.assets.formats import glb, obj_source
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.images import encode_png
@@ -65,7 +65,7 @@ def _check_painting(asset: Asset, painting: Painting, path: Path) -> None:
     if asset.textures:
         if not painting.maps or (path.suffix == ".obj" and not painting.images):
             raise ValueError(f"no base colour image for {asset.path}; give one for each of its textures")
-    elif len(painting.colors) != asset.report.vertices_read:
+    elif len(painting.colors) != asset.report.vertices_read and (len(painting.colors) or not others):
         wanted = f"{asset.report.vertices_read} vertices of {asset.path}"
         raise ValueError(f"{len(painting.colors)} colours for the {wanted}; give one for each")
 
@@ -247,10 +247,11 @@ def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
     """The asset's own glTF with other images or vertex colours, or a new one. Images that stood for a
     material's flat value are not written."""
     ends = np.cumsum([len(part.positions) for part in asset.parts])
-    colors = None if asset.textures else np.split(painting.colors, ends[:-1])
+    wanted = painting.colors if len(painting.colors) else own_painting(asset).colors
+    colors = None if asset.textures else np.split(wanted, ends[:-1])
     own: dict[Slot, Images] = {slot: layer.images for slot, layer in asset.mesh.maps.items()}
-    kept = {} if isinstance(asset.container, Gltf) else own
-    maps: dict[Slot, Images] = {**kept, **painting.maps}
+    rest = {} if isinstance(asset.container, Gltf) else own
+    maps: dict[Slot, Images] = {**rest, **painting.maps}
     pngs: dict[Slot, dict[int, bytes]] = {}
     for slot, images in maps.items():
         textures = enumerate(asset.sources[slot])
@@ -258,7 +259,7 @@ def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
     file = asset.container
     if not isinstance(file, Gltf):
         return glb.build_gltf(_name(asset), asset.parts, asset.paints, pngs, colors)
-    if colors is not None:
+    if colors is not None and len(painting.colors):
         origins = [part.origin for part in asset.parts]
         file = glb.replace_colors(file, dict(zip(origins, colors, strict=True)))
     for slot, images in pngs.items():

@@ -177,11 +177,11 @@ def _show(document: dict, texture: int, image: int) -> None:
     """The texture shows the image, in the one format that every reader knows."""
     entry = document["textures"][texture]
     entry["source"] = image
-    others = entry.get("extensions", {})
-    kept = {k: v for k, v in others.items() if k not in ("EXT_texture_webp", "KHR_texture_basisu")}
+    extensions = entry.get("extensions", {})
+    remaining = {k: v for k, v in extensions.items() if k not in ("EXT_texture_webp", "KHR_texture_basisu")}
     entry.pop("extensions", None)
-    if kept:
-        entry["extensions"] = kept
+    if remaining:
+        entry["extensions"] = remaining
 
 
 def build_gltf(
@@ -214,10 +214,12 @@ def build_gltf(
         for slot, texture in paint.textures.items():
             if (slot, texture) in images:
                 _holder(material, slot)[texture_key(slot)] = {"index": images[slot, texture]}
-                if slot == "metallic_roughness":
-                    pbr["metallicFactor"] = 1.0  # factors multiply the image
-                elif slot == "emissive":
-                    material["emissiveFactor"] = [1.0, 1.0, 1.0]
+                if slot == "emissive":
+                    material["emissiveFactor"] = [
+                        1.0,
+                        1.0,
+                        1.0,
+                    ]  # it multiplies the image, and is 0 if not said
         color = [1.0, 1.0, 1.0]
         if ("base_color", paint.texture) not in images and colors is None:
             color = linear(np.array(paint.color)).tolist()

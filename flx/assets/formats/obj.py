@@ -127,13 +127,13 @@ def _table(rows: Sequence[str], kind: str, least: int) -> Float64[Any, "N C"]:
         raise BadFile(f"{kind} {place + 1}, {rows[place].strip()!r}, has no {least} numbers; export it again")
     if max(widths, default=width) > width:
         rows = [" ".join(row.split()[:width]) for row in rows]
-    found = [numbers(" ".join(chunk)).reshape(-1, width) for chunk in _chunks(rows)]
-    return np.concatenate(found) if found else np.zeros((0, width))
+    tables = [numbers(" ".join(chunk)).reshape(-1, width) for chunk in _chunks(rows)]
+    return np.concatenate(tables) if tables else np.zeros((0, width))
 
 
 def _corners(rows: Sequence[str]) -> Int[Any, "C 3"]:
     """v, vt and vn of every corner as the file has them, `OMITTED` where it has none."""
-    found = []
+    tables = []
     for chunk in _chunks(rows):
         words = " ".join(chunk).split()
         slashes = {word.count("/") for word in words}
@@ -142,8 +142,8 @@ def _corners(rows: Sequence[str]) -> Int[Any, "C 3"]:
             text, slashes = " ".join(_whole_corner(word) for word in words), {2}
         indices = numbers(text, np.int64).reshape(len(words), -1)
         missing = np.full((len(words), 3 - indices.shape[1]), OMITTED)
-        found.append(np.concatenate([indices, missing], 1))
-    return np.concatenate(found) if found else np.zeros((0, 3), np.int64)
+        tables.append(np.concatenate([indices, missing], 1))
+    return np.concatenate(tables) if tables else np.zeros((0, 3), np.int64)
 
 
 def _whole_corner(word: str) -> str:
@@ -158,13 +158,13 @@ def _resolve(corners: Int[Any, "C 3"], places: Int[Any, "C"], lines: dict[str, L
     resolved = np.empty_like(corners)
     for column, (kind, _) in enumerate(KINDS):
         index, table = corners[:, column], lines[kind].places
-        found = np.where(index > 0, index - 1, np.searchsorted(table, places) + index)
-        wrong = ((index == 0) | (found < 0) | (found >= len(table))) & (index != OMITTED)
+        zero_based = np.where(index > 0, index - 1, np.searchsorted(table, places) + index)
+        wrong = ((index == 0) | (zero_based < 0) | (zero_based >= len(table))) & (index != OMITTED)
         if wrong.any():
             at = int(wrong.argmax())
             counted = "OBJ counts from 1" if index[at] == 0 else f"there are {len(table)}"
             raise BadFile(f"line {places[at]} names {kind} {index[at]}, but {counted}; export it again")
-        resolved[:, column] = np.where(index == OMITTED, OMITTED, found)
+        resolved[:, column] = np.where(index == OMITTED, OMITTED, zero_based)
     return resolved
 
 

@@ -70,9 +70,9 @@ def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[st
     Raises BadFile for one outside of the folder, and for more than `FLX_MAX_BYTES` in all.
     """
     libraries: dict[str, bytes] = {}
-    others: dict[str, str] = {}
+    renames: dict[str, str] = {}
     missing, size = [], 0
-    named = (_names(folder, found["value"]) for found in _statements(LIBRARY, text))
+    named = (_names(folder, match["value"]) for match in _statements(LIBRARY, text))
     for name in dict.fromkeys(name for names in named for name in names):
         try:
             content = read_file(inside(folder, name))
@@ -82,20 +82,20 @@ def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[st
         if (size := size + len(content)) > (most := limit("FLX_MAX_BYTES")):
             raise BadFile(f"its MTL files have more than {most:,} bytes; reduce them, or set FLX_MAX_BYTES")
         own = {n: _relative(folder, n) for n in files_named(content)}
-        libraries[name], others = renamed(content, own), others | own
-    return libraries, missing, {n: o for n, o in others.items() if n != o and not is_there(folder, n)}
+        libraries[name], renames = renamed(content, own), renames | own
+    return libraries, missing, {n: o for n, o in renames.items() if n != o and not is_there(folder, n)}
 
 
 def _statements(pattern: re.Pattern[bytes], text: bytes) -> Iterator[re.Match[bytes]]:
     """Where a pattern begins a statement. Words are found ten times faster than beginnings of lines."""
-    for found in pattern.finditer(text):
-        at = found.start()
+    for match in pattern.finditer(text):
+        at = match.start()
         while at and text[at - 1] in b" \t\v\f":
             at -= 1
         before = text[max(at - 3, 0) : at]
         ended = before.endswith((b"\n", b"\r")) and not before.endswith(CONTINUED)
         if ended or at == 0 or (at == 3 and before == BOM):
-            yield found
+            yield match
 
 
 def _names(folder: Path, value: bytes) -> list[str]:
@@ -110,8 +110,8 @@ def _names(folder: Path, value: bytes) -> list[str]:
 def _relative(folder: Path, name: str) -> str:
     """A name that comes into the folder from outside becomes relative, for the file goes along; and one that
     leads nowhere becomes that of the image which it means."""
-    if not is_there(folder, name) and (found := found_beside(folder, name)).lower().endswith(SUFFIXES):
-        return found
+    if not is_there(folder, name) and (meant := found_beside(folder, name)).lower().endswith(SUFFIXES):
+        return meant
     try:
         own = _own_name(folder, name)
     except BadFile:
@@ -139,7 +139,7 @@ def find_maps(folder: Path, libraries: Mapping[str, bytes]) -> tuple[dict[str, s
 
     Raises BadFile where they have more than four times `FLX_MAX_BYTES` in all.
     """
-    found, missing, sizes = {}, [], {}
+    copied, missing, sizes = {}, [], {}
     most = limit("FLX_MAX_BYTES")
     for name in dict.fromkeys(name for content in libraries.values() for name in files_named(content)):
         try:
@@ -150,10 +150,10 @@ def find_maps(folder: Path, libraries: Mapping[str, bytes]) -> tuple[dict[str, s
         if not there:
             missing.append(name)
             continue
-        found[name], sizes[own] = own, path.stat().st_size
+        copied[name], sizes[own] = own, path.stat().st_size
     if sum(sizes.values()) > 4 * most:
         raise BadFile(f"its maps have more than {4 * most:,} bytes; reduce them, or set FLX_MAX_BYTES")
-    return found, missing
+    return copied, missing
 
 
 # ---------------------------------------------------------------------------------------------- writing
@@ -180,8 +180,8 @@ def write_colored(source: ObjSource, rows: Int[Any, "N"], colors: Float32[Any, "
 
     Counts to 1 or to 255 as the file does; other v keep their own. Raises ValueError where a v has no colour.
     """
-    found = (found.span(channel) for found in COLORED.finditer(source.text) for channel in (4, 5, 6))
-    places = np.fromiter((end for span in found for end in span), np.int64).reshape(-1, 3, 2)
+    channels = (match.span(group) for match in COLORED.finditer(source.text) for group in (4, 5, 6))
+    places = np.fromiter((end for span in channels for end in span), np.int64).reshape(-1, 3, 2)
     if source.colors is None or len(places) != len(source.colors):
         raise ValueError(f"{len(places)} v of the OBJ have a colour, not all; export it again")
     counts = np.bincount(rows, minlength=len(source.colors))
@@ -205,15 +205,15 @@ def write_copy(source: ObjSource, path: Path) -> None:
 
 def only_object(source: ObjSource) -> str:
     """The name of the one object there is; "" without one, and where there are several."""
-    names = {found["value"].strip() for found in _statements(OBJECT, source.text)}
+    names = {match["value"].strip() for match in _statements(OBJECT, source.text)}
     return names.pop().decode(errors="replace") if len(names) == 1 else ""
 
 
 def structure(source: ObjSource) -> dict[str, int]:
     """How many objects, groups and smoothing groups the text has; no smoothing counts none."""
     names: dict[bytes, set[bytes]] = {b"o": set(), b"g": set(), b"s": set()}
-    for found in _statements(STRUCTURE, source.text):
-        names[found["key"]].add(found["value"].strip())
+    for match in _statements(STRUCTURE, source.text):
+        names[match["key"]].add(match["value"].strip())
     objects, groups, smooth = names.values()
     smooth -= {b"off", b"0", b""}
     return {"object": len(objects), "group": len(groups), "smoothing group": len(smooth)}
@@ -226,8 +226,10 @@ def has_lines(source: ObjSource) -> bool:
 
 def material_names(source: ObjSource) -> set[str]:
     """The materials that the libraries define."""
-    found = [s for content in source.libraries.values() for s in statements(content) if s.key == "newmtl"]
-    return set(map(material_name, found))
+    definitions = [
+        s for content in source.libraries.values() for s in statements(content) if s.key == "newmtl"
+    ]
+    return set(map(material_name, definitions))
 
 
 def _with_materials(library: bytes, images: Mapping[str, str]) -> bytes:
@@ -267,12 +269,12 @@ def _naming(source: ObjSource, text: bytes, written: Mapping[str, str]) -> bytes
     or comes first."""
     stand_in = written.get("")
     edits, named = [], False
-    for found in _statements(LIBRARY, text):
-        names = [written.get(n, stand_in or n) for n in _names(source.folder, found["value"])]
+    for match in _statements(LIBRARY, text):
+        names = [written.get(n, stand_in or n) for n in _names(source.folder, match["value"])]
         names = names or [stand_in or ""]
-        start = found.start("value")
-        gap = b"" if found["value"] or not names[0] else b" "
-        edits.append((start, start + len(found["value"].rstrip()), gap + " ".join(names).encode()))
+        start = match.start("value")
+        gap = b"" if match["value"] or not names[0] else b" "
+        edits.append((start, start + len(match["value"].rstrip()), gap + " ".join(names).encode()))
         named = True
     if stand_in and not named:
         at = len(BOM) if text.startswith(BOM) else 0

@@ -84,8 +84,8 @@ def parse_ply(content: bytes, name: str) -> Ply:
     if corners is None or corners.sizes is None or not {"x", "y", "z"} <= vertex.keys():
         return Ply([], images, 0, ())
     kinds = {p.name: p.type for e in elements if e.name == "vertex" for p in e.properties}
-    found = _parts(name, vertex, kinds, face, corners, images)
-    return found._replace(unread=_unread(elements, content[:head], is_ascii))
+    ply = _parts(name, vertex, kinds, face, corners, images)
+    return ply._replace(unread=_unread(elements, content[:head], is_ascii))
 
 
 # ---------------------------------------------------------------------------------------------- the file
@@ -120,21 +120,21 @@ def _header(content: bytes) -> tuple[list[Element], list[str], str | None, int]:
 
 def _unread(elements: list[Element], header: bytes, is_ascii: bool) -> tuple[str, ...]:
     """Properties, elements and comments that nothing is made of."""
-    found = []
+    unread = []
     for element in elements:
         names = {p.name for p in element.properties}
         known = READ.get(element.name)
         if known is None:
-            found.append(f"{element.length:,} × {element.name}")
+            unread.append(f"{element.length:,} × {element.name}")
             continue
         if element.name == "vertex":
             known = known.union(*[pair for pair in COORDINATES if set(pair) <= names][-1:])
-        found += [f"{element.name} {p.name}" for p in element.properties if p.name not in known]
+        unread += [f"{element.name} {p.name}" for p in element.properties if p.name not in known]
     words = [line.split() for line in header.decode("utf-8", errors="replace").splitlines()]
     texts = [w for w in words if w[:1] in (["comment"], ["obj_info"]) and w[1:] not in ([], ["flx"])]
     comments = sum(w[0] == "obj_info" or w[1].lower() != "texturefile" for w in texts)
-    found += [f"{comments} comment{'s' * (comments > 1)}"] * (comments > 0)
-    return (*found, *[ASCII] * is_ascii)
+    unread += [f"{comments} comment{'s' * (comments > 1)}"] * (comments > 0)
+    return (*unread, *[ASCII] * is_ascii)
 
 
 Body = bytes | memoryview
@@ -205,7 +205,7 @@ def _read_each(
     element: Element, fields: list[Field], content: Body, start: int
 ) -> tuple[dict[str, Column], int]:
     """Rows one by one."""
-    found: dict[str, list] = {name: [] for name, *_ in fields}
+    values: dict[str, list] = {name: [] for name, *_ in fields}
     for row in range(element.length):
         for name, kind, count in fields:
             size, width = 1, np.dtype(kind).itemsize
@@ -217,10 +217,12 @@ def _read_each(
                     raise ValueError
             except ValueError:
                 raise BadFile(f"{element.name} {row} is cut off or broken; export it again") from None
-            found[name].append(np.frombuffer(content, kind, size, start))
+            values[name].append(np.frombuffer(content, kind, size, start))
             start += width * size
     return {
-        name: Column(np.concatenate(found[name]), np.array([len(v) for v in found[name]]) if count else None)
+        name: Column(
+            np.concatenate(values[name]), np.array([len(v) for v in values[name]]) if count else None
+        )
         for name, _, count in fields
     }, start
 

@@ -101,7 +101,7 @@ def _read_obj(path: Path) -> Contents:
     if b"\0" in content:
         raise BadFile("not a text, as an OBJ file is; export it again")
     obj = parse_obj(content.decode("utf-8-sig", errors="replace"), path.stem)
-    libraries, lost, others = read_libraries(path.parent, content)
+    libraries, lost, renames = read_libraries(path.parent, content)
     maps, missing = find_maps(path.parent, libraries)
     defined: dict[str, Mapped] = {}
     for library in libraries.values():
@@ -118,7 +118,7 @@ def _read_obj(path: Path) -> Contents:
         container=ObjSource(path.parent, content, libraries, maps, obj.rows, obj.colors),
         missing_images=tuple(missing),
         polygons=obj.polygons,
-        found_images=tuple(map(substitution, others.items())),
+        found_images=tuple(map(substitution, renames.items())),
         ignored_options=tuple(f"{m.material.name}: {option}" for m in mapped for option in m.options),
         slot_uvs=lambda part, slot: _obj_uvs(part, mapped[part.material], slot),
     )
@@ -145,10 +145,10 @@ def _moved(part: Part, mapped: Mapped) -> Part:
 
 def _read_ply(path: Path) -> Contents:
     ply = parse_ply(read_file(path), path.stem)
-    others = {
+    renames = {
         n: o for n in ply.images if not is_there(path.parent, n) and (o := found_beside(path.parent, n))
     }
-    images = [others.get(name, name) for name in ply.images] or [None]
+    images = [renames.get(name, name) for name in ply.images] or [None]
     return Contents(
         parts=ply.parts,
         materials=[Material(path.stem, (1.0, 1.0, 1.0), image) for image in images],
@@ -158,7 +158,7 @@ def _read_ply(path: Path) -> Contents:
         missing_images=(),
         polygons=ply.polygons,
         unread=ply.unread,
-        found_images=tuple(map(substitution, others.items())),
+        found_images=tuple(map(substitution, renames.items())),
     )
 
 

@@ -22,8 +22,8 @@ def check_document(document: Any) -> None:
     if not version.startswith("2."):
         raise BadFile(f"glTF version {version[:20]!r}; export it again as glTF 2.0")
     for extensions, what in UNREADABLE.items():
-        if found := set(extensions) & set(document.get("extensionsUsed", [])):
-            raise BadFile(f"its {what} ({min(found)}); save it without compression")
+        if compressed := set(extensions) & set(document.get("extensionsUsed", [])):
+            raise BadFile(f"its {what} ({min(compressed)}); save it without compression")
     unknown = set(document.get("extensionsRequired", [])) - KNOWN
     unknown = {name for name in unknown if not name.startswith("KHR_materials_")}  # they say how light falls
     if unknown:
