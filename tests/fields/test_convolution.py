@@ -15,8 +15,6 @@ from flx.types import OneRings, Pooling
 
 FILTERS = ("harmonic", "mlp")
 C, D, E = 5, 3, 4
-
-
 SPHERE = tables_of(icosphere(1))  # 42 vertices
 TORUS = tables_of(torus(8, 6))
 OPEN = tables_of(square_grid(6))

@@ -9,7 +9,6 @@ from PIL import Image
 from flx.config import FLVAE, Images
 from flx.pipeline import patches as patching
 from flx.pipeline.patches import VERTICES, ImagePatches, Lay
-from flx.pipeline.printed_pages import printed_pages
 
 CONFIG, MODEL = Images(queries=2), FLVAE(samples=16)
 
@@ -165,11 +164,3 @@ def test_half_of_the_patches_are_painted_anew_and_within_range():
 def test_a_folder_without_images_is_refused(tmp_path):
     with pytest.raises(ValueError, match="holds no images"):
         ImagePatches(Images(folder=str(tmp_path)), FLVAE(), 4)
-
-
-def test_printed_pages_have_flat_areas_hard_edges_and_both_ends_of_the_scale():
-    pages = printed_pages(8, 128, 0)
-    np.testing.assert_array_equal(pages[:2], printed_pages(2, 128, 0))
-    steps = np.abs(np.diff(pages.astype(int), axis=2)).max(-1)
-    assert (steps == 0).mean() > 0.6 and (steps > 60).mean() > 0.01
-    assert pages.min() < 30 and pages.max() > 225 and not np.array_equal(pages[0], pages[1])

@@ -25,14 +25,14 @@ import trimesh
 from PIL import Image
 
 sys.path.append(str(Path(__file__).parents[1]))  # a script finds what lies beside it, not helpers
-from helpers.oracles import distances, min_angles, points_on
+from helpers.oracles import coincidence, distances, min_angles, points_on
 from helpers.surfaces import icosphere, moebius, sleeve, soup, square_with_hole, three_touching_boxes
 
 from flx.assets.read import read_asset
 from flx.commands.bench import peak_bytes
 from flx.commands.doctor import examine
 from flx.config import FLDMExperiment
-from flx.geometry.remesh.remesh import coincidence, remesh
+from flx.geometry.remesh.remesh import remesh
 from flx.geometry.repair import shape
 from flx.geometry.tables import mesh_tables
 from flx.types import Triangulation
