@@ -1,15 +1,30 @@
 """Every experiment file is one that the launcher can begin."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import pytest
+from helpers.frames import field, tables_of
+from helpers.surfaces import icosphere
 
-from flx.config import FLVAEExperiment, read_config
+from flx.config import Experiment, FLVAEExperiment, read_config
 from flx.pipeline.codec import initial_params, load_codec
+from flx.training.fldm import denoiser
 from flx.training.optimizer import make_optimizer
 
 FILES = sorted((Path(__file__).parent.parent / "experiments").glob("*.py"))
+
+
+def parameters_of(experiment: Experiment) -> dict:
+    """The shapes of all that the experiment trains; nothing is computed."""
+    if isinstance(experiment, FLVAEExperiment):
+        return jax.eval_shape(lambda: initial_params(experiment.model, 0))
+    codec, tables = load_codec(experiment.weights), tables_of(icosphere(1))
+    network = denoiser(experiment, codec)
+    z = field(42, codec.config.latents)
+    return jax.eval_shape(network.init, jax.random.key(0), tables, z, jnp.float32(1))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -17,8 +32,14 @@ def test_an_experiment_names_itself_and_can_be_trained(path):
     experiment = read_config(path)
     assert experiment.name == path.stem
     make_optimizer(experiment.train)
-    if isinstance(experiment, FLVAEExperiment):
-        jax.eval_shape(lambda: initial_params(experiment.model, 0))
+    assert sum(leaf.size for leaf in jax.tree.leaves(parameters_of(experiment))) > 10_000
+
+
+def test_a_network_that_does_not_fit_its_codec_is_found():
+    """The test above would see it: the demo's codec has invariant channels."""
+    demo = read_config(FILES[0].parent / "demo.py")
+    with pytest.raises(ValueError, match=r"model\.network is 'vectors'"):
+        parameters_of(replace(demo, model=replace(demo.model, network="vectors")))
 
 
 @pytest.mark.parametrize("name", ["flvae", "barycentric"])
