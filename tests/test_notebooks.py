@@ -26,6 +26,7 @@ def checks(cells: list[str]) -> list[ast.Assert]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_cell_runs_and_the_notebook_checks_itself(path):
     cells, names = code_of(path), {"__name__": "__main__"}

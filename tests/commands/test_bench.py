@@ -38,6 +38,7 @@ def rows() -> dict[str, dict]:
         return {row["name"]: row for row in bench.codec_rows(repeats=2)} | {"calls": calls}
 
 
+@pytest.mark.slow
 def test_the_codec_has_its_rows(rows):
     assert list(rows)[:-1] == [
         "product/float32",
@@ -62,6 +63,7 @@ def test_the_codec_has_its_rows(rows):
     assert rows["decode/90"]["peak_bytes"] >= rows["encode/40"]["peak_bytes"] > 1e7
 
 
+@pytest.mark.slow
 def test_seconds_are_those_of_a_call_after_the_first_by_the_clock(rows):
     assert rows["calls"] == {"encode": 3, "decode": 3}
     for name, seconds, count in (("encode/40", ENCODE, 40), ("decode/90", DECODE, 90)):

@@ -33,6 +33,7 @@ def test_vertex_colours_keep_linear_and_constant_colours():
     np.testing.assert_allclose(baselines.vertex_colours(seen)(points), truth, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [baselines.components, baselines.frame_components])
 def test_sixteen_components_keep_nearly_linear_colours(method, images):
     """Better than vertices can that know their rings' mean colours alone, by far."""

@@ -24,6 +24,7 @@ def test_eigenfunctions_do_not_see_how_large_a_mesh_is():
     assert (left < 1e-6 * (larger**2).sum(0)).all()
 
 
+@pytest.mark.slow
 def test_a_field_learns_its_mesh(monkeypatch):
     for name, value in {"STEPS": 150, "BATCH": 128, "WIDTHS": (32, 32, 3), "RATE": 1e-2}.items():
         monkeypatch.setattr(neural_field, name, value)

@@ -34,6 +34,7 @@ def walls(points: np.ndarray) -> np.ndarray:
     return np.sign(np.linalg.norm(points[..., :2], axis=-1) - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thickness", [0.1, 0.02, 0.005])
 def test_nothing_jumps_through_a_thin_wall(thickness):
     """Walls of 0.6 edges, an eighth, a thirtieth: projection, colours, queries, pooling keep sides."""
@@ -68,6 +69,7 @@ def test_nothing_jumps_through_a_thin_wall(thickness):
     assert (wall[pooling.centers[pooling.parents]] == wall)[lower].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("thickness", "seed"), [(0.02, 0), (0.02, 1), (0.005, 0)])
 def test_the_two_boundaries_of_a_thin_wall_stay_two(thickness, seed):
     """At the open end of a sleeve, walls a fraction of an edge apart have a boundary each."""
@@ -119,6 +121,7 @@ def test_sheets_keep_every_hole_and_parts_smaller_than_a_ring_stay():
     assert (level[pooling.centers[pooling.parents]] == level).all()
 
 
+@pytest.mark.slow
 def test_a_rough_surface_has_no_sharp_corners():
     """Its grain is finer than the copy; smoothing alone leaves 1.3 % of its faces sharper than 35°."""
     rock = icosphere(5)
@@ -128,6 +131,7 @@ def test_a_rough_surface_has_no_sharp_corners():
     assert np.percentile(angles, 1) > 35 and angles.min() > 5
 
 
+@pytest.mark.slow
 def test_spikes_narrower_than_an_edge_are_reached_where_they_can_be():
     """An edge high: smoothing alone slides off them, to 0.54 of an edge on average."""
     hedgehog = icosphere(4)

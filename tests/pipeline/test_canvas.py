@@ -20,6 +20,7 @@ def asset(tmp_path_factory) -> Asset:
     return read_asset(path)
 
 
+@pytest.mark.slow
 def test_colours_reach_the_texels_of_their_points(asset):
     """The whole way of a row with an exact method: the texels' own colours leave no error."""
 

@@ -8,6 +8,7 @@ from helpers.codecs import FRAME, SMALL, alone, each_config, encode, rings, trai
 from flx.pipeline.codec import Codec, initial_params, load_codec, save_codec
 
 
+@pytest.mark.slow
 @each_config
 def test_a_ring_is_encoded_the_same_in_any_batch_or_chunk(config, monkeypatch):
     model, params = trained_a_little(config)
@@ -25,6 +26,7 @@ def test_a_ring_is_encoded_the_same_in_any_batch_or_chunk(config, monkeypatch):
     assert np.ptp(colors) > 0.1
 
 
+@pytest.mark.slow
 def test_weights_come_back_as_they_were_saved(tmp_path):
     params = trained_a_little(FRAME)[1]
     save_codec(tmp_path / "w.safetensors", Codec(FRAME, params), {"steps": "0"})
@@ -48,6 +50,7 @@ def test_damaged_weights_are_refused_in_one_line(tmp_path, damage):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_the_released_codec_reconstructs_and_does_not_mind_the_frame():
     """At points near the vertices of rings that are smooth, and at any frames of these."""
     codec = load_codec()

@@ -37,6 +37,7 @@ SURFACES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [500, 1300])
 @pytest.mark.parametrize("name", SURFACES)
 def test_remeshing_hits_the_count_and_keeps_topology_and_place(name, count):
@@ -58,6 +59,7 @@ def test_remeshing_keeps_the_outside_outside():
     assert volume == pytest.approx(0.4, rel=0.01)
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(st.integers(60, 1500), st.integers(0, 2**32 - 1))
 def test_any_count_of_any_seed_is_exact(count, seed):
@@ -67,6 +69,7 @@ def test_any_count_of_any_seed_is_exact(count, seed):
     assert_sound(mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("subdivisions", "count"), [(0, 2000), (5, 500), (3, 642)])
 def test_much_coarser_denser_and_equal_inputs_give_even_and_independent_copies(subdivisions, count):
     surface = icosphere(subdivisions)
@@ -83,6 +86,7 @@ def test_same_seed_same_bits():
     assert a.vertices.tobytes() != c.vertices.tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thickness", [1.0, 0.2])
 def test_creases_of_a_box_are_edges_of_every_copy(thickness):
     mesh = remesh(*box(1.0, 1.0, thickness), 800, seed=2)
@@ -141,6 +145,7 @@ def test_coincidence_counts_vertices_within_a_tenth_of_an_edge():
     assert coincidence(a, far) == pytest.approx(1 - half.mean())
 
 
+@pytest.mark.slow
 def test_the_bowl_is_even_exact_and_independent():
     folder = os.environ.get("FLX_DATA")
     if not folder:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from helpers.codecs import FRAME, decode, encode, rings, trained_a_little, weights_of
 
 from flx.fields import polynomials
@@ -37,6 +38,7 @@ def test_components_are_measured_by_colours_where_samples_count():
     np.testing.assert_allclose(((coefficients.ravel() @ metric) ** 2).sum(), expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_principal_components_keep_more_than_any_mean():
     """Before any training the linear maps give most of a smooth ring back."""
     model, params = trained_a_little(replace(FRAME, samples=64, edges=1))

@@ -34,6 +34,7 @@ def code_turn(config: FLVAE, turn: np.ndarray) -> np.ndarray:
     return np.where(np.arange(config.latents) < vectors, turn[:, None], 1)
 
 
+@pytest.mark.slow
 @each_config
 @settings(max_examples=5)
 @given(seed=st.integers(0, 100))
@@ -55,6 +56,7 @@ def test_codes_turn_with_the_frame_and_colours_stay(config, seed):
     assert np.std(colors) > 1e-4
 
 
+@pytest.mark.slow
 @each_config
 def test_the_order_of_the_samples_does_not_matter(config):
     model, params = trained_a_little(config)
@@ -64,6 +66,7 @@ def test_the_order_of_the_samples_does_not_matter(config):
     np.testing.assert_allclose(encode(model, params, shuffled).mean, encode(model, params, r).mean, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_black_and_white_flat_rings_have_different_codes():
     """A linear lift would send black to nothing; without a mean both would be the same."""
     for config in CONFIGS:
@@ -75,6 +78,7 @@ def test_black_and_white_flat_rings_have_different_codes():
         assert np.abs(black).max() > 1e-2 and np.abs(black - white).max() > 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sharpness", [1.0, 2.0, 3.5])
 def test_a_blend_is_a_mean_that_is_one_corner_at_a_corner_and_two_on_an_edge(sharpness):
     inside = jnp.asarray(np.random.default_rng(0).dirichlet(np.ones(3), 50), jnp.float32)
@@ -96,6 +100,7 @@ def three_corners(config: FLVAE, count: int = 20) -> tuple[FieldLatentVAE, dict,
     return model, params, z, Queries(vertices, tangent_noise(jax.random.key(5), weights.shape), weights)
 
 
+@pytest.mark.slow
 @each_config
 def test_at_a_corner_a_face_has_the_colour_of_its_vertex(config):
     model, params, z, points = three_corners(config, 3)
@@ -107,6 +112,7 @@ def test_at_a_corner_a_face_has_the_colour_of_its_vertex(config):
     assert np.ptp(expected, axis=0).max() > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [SMALL, FRAME], ids=lambda c: c.encoder)
 def test_inside_a_face_the_colours_of_its_corners_are_blended(config):
     model, params, _, points = three_corners(config)

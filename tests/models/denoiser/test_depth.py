@@ -29,6 +29,7 @@ def test_more_vertices_never_make_a_shallower_network():
         assert all(a <= b for a, b in zip(shallow, deep, strict=True))
 
 
+@pytest.mark.slow
 def test_reach_is_where_the_gradient_is_not_zero():
     tables, blocks, z = tables_of(icosphere(3)), (1, 1, 1), field(642, 3)
     apply, params = denoiser("harmonic", conditions=0)

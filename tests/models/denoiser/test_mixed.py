@@ -43,6 +43,7 @@ def test_a_block_that_adds_nothing_is_the_identity():
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_the_denoiser_turns_its_vectors_and_not_its_invariants():
     tables = tables_of(icosphere(2))
     z = tangent_noise(jax.random.key(0), (len(tables.fine.masses), 4))
@@ -56,6 +57,7 @@ def test_the_denoiser_turns_its_vectors_and_not_its_invariants():
     assert relative(denoise(network, params, tables, z, jnp.float32(900)), here) > 1e-3
 
 
+@pytest.mark.slow
 def test_the_denoiser_takes_conditions():
     config = FLDM(**{**CONFIG.__dict__, "conditions": 2})
     tables = tables_of(icosphere(1))

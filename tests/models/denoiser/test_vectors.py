@@ -14,6 +14,7 @@ from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.vectors import Denoiser, FCResNetBlock
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("network", [Denoiser, MixedDenoiser])
 def test_each_part_has_as_many_blocks_as_asked(network):
     config = dataclasses.replace(SMALL, latents=4, invariants=2 if network is MixedDenoiser else 0)
@@ -45,6 +46,7 @@ def test_a_block_turns_with_the_frames(filter):
     assert relative(before, x) > 0.1  # the block does something
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter", FILTERS)
 def test_the_denoiser_turns_with_the_frames(filter):
     """A loose bound, tight for blocks: the whole net amplifies rounding by its |x|⁻¹ terms."""
@@ -58,6 +60,7 @@ def test_the_denoiser_turns_with_the_frames(filter):
     assert relative(apply(params, turned(TORUS, alpha), z, t, RHO), expected) > 0.1
 
 
+@pytest.mark.slow
 def test_the_answer_hangs_on_the_step_and_on_the_conditions():
     apply, params = denoiser("harmonic")
     z = field(COUNT, 3)
@@ -66,18 +69,21 @@ def test_the_answer_hangs_on_the_step_and_on_the_conditions():
     assert relative(apply(params, TORUS, z, jnp.float32(10.0), -RHO), first) > 1e-2
 
 
+@pytest.mark.slow
 def test_conditions_must_be_those_of_the_model():
     apply, params = denoiser("harmonic")
     with pytest.raises(ValueError, match=r"rho has 0 values a vertex; model.conditions is 2"):
         apply(params, TORUS, field(COUNT, 3), jnp.float32(1.0), None)
 
 
+@pytest.mark.slow
 def test_the_first_answer_is_small_and_not_nothing():
     apply, params = denoiser("harmonic")
     size = jnp.sqrt(jnp.mean(jnp.abs(apply(params, TORUS, field(COUNT, 3), jnp.float32(5.0), RHO)) ** 2))
     assert 1e-3 < size < 0.7
 
 
+@pytest.mark.slow
 def test_conditions_reach_no_further_than_the_network():
     """ρ is a field: far from where it changes, only the norms' means carry the change."""
     tables = tables_of(icosphere(3))
@@ -90,6 +96,7 @@ def test_conditions_reach_no_further_than_the_network():
     assert change[near].mean() > 20 * jnp.median(change)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter", FILTERS)
 def test_gradients_reach_every_parameter_and_are_finite_at_zero(filter):
     """A field without content has no direction to invent: zero stays zero, and nothing divides by it."""
