@@ -3,7 +3,7 @@ VENV := .venv
 MESH ?=
 NAME := $(if $(MESH),$(basename $(notdir $(MESH))),demo)
 
-.PHONY: setup demo test bench
+.PHONY: setup demo test test-fast bench
 
 setup: $(VENV)/.installed
 
@@ -23,7 +23,10 @@ test: setup  # the linters and every test
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/pyright
 	$(VENV)/bin/lint-imports
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest --durations=15
+
+test-fast: setup  # without the linters and the slow tests
+	$(VENV)/bin/python -m pytest -m 'not slow'
 
 bench: setup  # timings of this machine, as JSON
 	$(VENV)/bin/flx bench

@@ -1,15 +1,40 @@
 """Every experiment file is one that the launcher can begin."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import pytest
+from helpers.frames import field, tables_of
+from helpers.surfaces import icosphere
 
-from flx.config import FLVAEExperiment, read_config
+from flx.config import FLVAE, Experiment, FLVAEExperiment, read_config
+from flx.models.denoiser.depth import complete
 from flx.pipeline.codec import initial_params, load_codec
+from flx.pipeline.generator import network_of
 from flx.training.optimizer import make_optimizer
 
 FILES = sorted((Path(__file__).parent.parent / "experiments").glob("*.py"))
+
+
+def codec_of(weights: str | None) -> FLVAE:
+    """The released FL-VAE's, or that of the experiment whose run will have made the weights."""
+    if weights is None:
+        return load_codec().config
+    trained = read_config(FILES[0].parent / f"{Path(weights).parent.name}.py")
+    assert isinstance(trained, FLVAEExperiment)
+    return trained.model
+
+
+def parameters_of(experiment: Experiment) -> dict:
+    """The shapes of all that the experiment trains; nothing is computed."""
+    if isinstance(experiment, FLVAEExperiment):
+        return jax.eval_shape(lambda: initial_params(experiment.model, 0))
+    codec, tables = codec_of(experiment.weights), tables_of(icosphere(1))
+    network = network_of(complete(experiment.model, codec, experiment.surface.vertices))
+    z = field(42, codec.latents)
+    return jax.eval_shape(network.init, jax.random.key(0), tables, z, jnp.float32(1))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -17,8 +42,14 @@ def test_an_experiment_names_itself_and_can_be_trained(path):
     experiment = read_config(path)
     assert experiment.name == path.stem
     make_optimizer(experiment.train)
-    if isinstance(experiment, FLVAEExperiment):
-        jax.eval_shape(lambda: initial_params(experiment.model, 0))
+    assert sum(leaf.size for leaf in jax.tree.leaves(parameters_of(experiment))) > 10_000
+
+
+def test_a_network_that_does_not_fit_its_codec_is_found():
+    """The test above would see it: the demo's codec has invariant channels."""
+    demo = read_config(FILES[0].parent / "demo.py")
+    with pytest.raises(ValueError, match=r"model\.network is 'vectors'"):
+        parameters_of(replace(demo, model=replace(demo.model, network="vectors")))
 
 
 @pytest.mark.parametrize("name", ["flvae", "barycentric"])

@@ -17,6 +17,7 @@ from PIL import Image
 from flx.assets.asset import own_painting
 from flx.assets.vase import vase_asset
 from flx.assets.write import write
+from flx.launch import main
 
 ROOT = Path(__file__).parent.parent
 SMOKE = str(ROOT / "experiments" / "smoke.py")
@@ -30,10 +31,17 @@ def flx(*arguments: str, cwd: Path, status: int = 0) -> subprocess.CompletedProc
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory) -> Path:
-    """A folder with the vase, and a run of the smoke experiment that was killed and called again."""
+def vase(tmp_path_factory) -> Path:
+    """A folder with the vase."""
     folder = tmp_path_factory.mktemp("flx")
-    write(vase := vase_asset(), own_painting(vase), folder / "vase.glb")
+    write(asset := vase_asset(), own_painting(asset), folder / "vase.glb")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trained(vase) -> Path:
+    """Beside it, a run of the smoke experiment that was killed and called again."""
+    folder = vase
     arguments = ["train", SMOKE, "--surface.path", "vase.glb"]
     killed = subprocess.Popen([sys.executable, "-m", "flx.launch", *arguments], cwd=folder)
     first = folder / "runs" / "smoke" / "checkpoints" / "10"
@@ -53,11 +61,13 @@ def sampled(trained: Path) -> Path:
     return trained / "runs" / "smoke" / "samples"
 
 
+@pytest.mark.slow
 def test_metrics_have_each_step_once(trained):
     rows = (trained / "runs" / "smoke" / "metrics.csv").read_text().splitlines()[1:]
     assert [int(row.split(",")[0]) for row in rows] == [10, 20, 30]
 
 
+@pytest.mark.slow
 def test_variations_keep_the_mesh_and_change_its_texture(trained, sampled):
     """Loaded by trimesh, not by flx: same positions, faces and coordinates; only the picture differs."""
     before = trimesh.load_mesh(trained / "vase.glb", process=False)
@@ -76,6 +86,7 @@ def test_variations_keep_the_mesh_and_change_its_texture(trained, sampled):
     assert Image.open(sampled / "contact_sheet.png").width > 3 * 300
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_files_after_a_kill(trained, sampled):
     wanted = {path.name: path.read_bytes() for path in sampled.iterdir()}
     arguments = [
@@ -102,24 +113,46 @@ def test_the_same_seed_gives_the_same_files_after_a_kill(trained, sampled):
         assert (trained / "again" / name).read_bytes() == content
 
 
+@pytest.mark.slow
 def test_another_asset_under_the_same_name_is_refused(trained):
     said = flx("train", SMOKE, cwd=trained, status=2).stderr
     assert said.count("\n") == 1 and "--name" in said
 
 
-def test_reconstruct_measures_what_it_writes(trained):
+@pytest.mark.slow
+def test_reconstruct_measures_what_it_writes(vase):
     arguments = ["vase.glb", "--vertices", "1500", "--texture-size", "256", "--out", "back"]
-    metrics = json.loads(flx("reconstruct", *arguments, cwd=trained).stdout)
-    assert json.loads((trained / "back" / "metrics.json").read_text()) == metrics
+    metrics = json.loads(flx("reconstruct", *arguments, cwd=vase).stdout)
+    assert json.loads((vase / "back" / "metrics.json").read_text()) == metrics
     assert 17 < metrics["psnr"] < 40 and 0 < metrics["dssim"] < 0.4 and metrics["peak_bytes"] > 1e8
     for name in ("reconstruction.glb", "reconstruction.png", "side_by_side.png"):
-        assert (trained / "back" / name).stat().st_size > 10_000
+        assert (vase / "back" / name).stat().st_size > 10_000
 
 
-def test_doctor_reports_in_words_and_in_json(trained):
-    assert "vertices" in flx("doctor", "vase.glb", cwd=trained).stdout
-    report = json.loads(flx("doctor", "vase.glb", "--json", cwd=trained).stdout)
-    assert report["components"] == 1
+def test_doctor_reports_in_words_and_in_json(vase, capsys):
+    assert "vertices" in flx("doctor", "vase.glb", cwd=vase).stdout
+    assert main(["doctor", str(vase / "vase.glb"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["components"] == 1
+
+
+# --- refusals: in this process but for two, for each process starts JAX anew
+
+
+def refusal(arguments: list[str], capsys) -> str:
+    """What is said on stderr, where the exit status is 2."""
+    try:
+        status = main(arguments)
+    except SystemExit as end:  # tyro's, on words that it does not know
+        status = end.code
+    said = capsys.readouterr()
+    assert status == 2 and not said.out
+    return said.err
+
+
+@pytest.mark.parametrize("arguments", [["doctor", "missing.glb"], ["sample", "runs/none"]])
+def test_a_refusal_is_one_line_of_a_process_too(vase, arguments):
+    done = flx(*arguments, cwd=vase, status=2)
+    assert done.stderr.count("\n") == 1 and arguments[1] in done.stderr and not done.stdout
 
 
 @pytest.mark.parametrize(
@@ -134,29 +167,40 @@ def test_doctor_reports_in_words_and_in_json(trained):
         (["reconstruct", "vase.glb", "--texture-size", "30000"], "--texture-size is 30000"),
         (["reconstruct", "vase.glb", "--out", "vase.glb"], "vase.glb is a file"),
         (["reconstruct", "vase.glb", "--out", "vase.glb/deeper"], "vase.glb is a file"),
-        (["sample", "runs/smoke", "--count", "0"], "0 variations"),
         (["bench", "vase.glb"], "--mesh"),
     ],
 )
-def test_wrong_input_is_one_line_and_status_2(trained, arguments, named):
-    said = flx(*arguments, cwd=trained, status=2).stderr
+def test_wrong_input_is_one_line_and_status_2(vase, monkeypatch, capsys, arguments, named):
+    monkeypatch.chdir(vase)
+    said = refusal(arguments, capsys)
     assert said.count("\n") == 1 and named in said
+
+
+@pytest.mark.slow
+def test_no_variations_are_refused(trained, monkeypatch, capsys):
+    monkeypatch.chdir(trained)
+    said = refusal(["sample", "runs/smoke", "--count", "0"], capsys)
+    assert said.count("\n") == 1 and "0 variations" in said
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [("--train.steps", "0"), ("--train.batch", "0"), ("--train.ema", "1"), ("--surface.copies", "0")],
 )
-def test_a_number_out_of_its_range_is_refused_before_anything_is_made(trained, field, value):
-    said = flx("train", SMOKE, "--name", "wrong", field, value, cwd=trained, status=2).stderr
-    assert f"{field[2:]} is {value}" in said and not (trained / "runs" / "wrong").exists()
+def test_a_number_out_of_its_range_is_refused_before_anything_is_made(
+    tmp_path, monkeypatch, capsys, field, value
+):
+    monkeypatch.chdir(tmp_path)
+    said = refusal(["train", SMOKE, "--name", "wrong", field, value], capsys)
+    assert f"{field[2:]} is {value}" in said and not (tmp_path / "runs" / "wrong").exists()
 
 
-def test_a_misspelt_field_is_answered_with_the_nearest_one(trained):
-    said = flx("train", SMOKE, "--train.stepz", "3", cwd=trained, status=2).stderr
-    assert "--train.steps" in said
+def test_a_misspelt_field_is_answered_with_the_nearest_one(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert "--train.steps" in refusal(["train", SMOKE, "--train.stepz", "3"], capsys)
 
 
+@pytest.mark.slow
 def test_the_generator_alone_samples_the_same_files(trained, sampled, tmp_path):
     """Neither the run folder nor the mesh is needed: the one file in an empty folder."""
     content = (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
@@ -167,6 +211,7 @@ def test_the_generator_alone_samples_the_same_files(trained, sampled, tmp_path):
         assert (tmp_path / "samples" / name).read_bytes() == (sampled / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampled, tmp_path):
     """It has no generator file, and its config says what the model then was thought to be."""
     run = tmp_path / "runs" / "smoke"
@@ -196,6 +241,7 @@ def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampl
     assert json.loads((run / "config.json").read_bytes())["config"]["model"]["invariants"] == 3
 
 
+@pytest.mark.slow
 def test_a_mesh_needs_no_config(trained):
     """The demo's settings, the run named after the file; every field is an option all the same."""
     few = ["--train.steps", "2", "--surface.vertices", "300", "--surface.copies", "1"]

@@ -108,11 +108,6 @@ def load_config(folder: str | Path) -> Experiment:
     return from_json(_KINDS[record["kind"]], record["config"], f"{path}: config")
 
 
-def load_fingerprint(folder: str | Path) -> str:
-    """The fingerprint of the asset that the run was made from."""
-    return _read(Run(Path(folder)).config)["fingerprint"]
-
-
 @contextlib.contextmanager
 def only_trainer(run: Run) -> Iterator[None]:
     """Hold the run against a second trainer. The lock is the process's: it ends with it, however it ends.

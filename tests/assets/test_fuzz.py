@@ -29,13 +29,13 @@ NAMES = ("byteStride", "byteOffset", "sparse", "mode", "normalized", "uri", "ext
 
 
 def changed_bytes(content: bytes, random: Random) -> bytes:
-    """Bytes overwritten, cut off, cut out, copied elsewhere."""
-    for _ in range(random.randint(1, 3)):
+    """Bytes overwritten, cut off, cut out, copied elsewhere; often but one, for most others are fatal."""
+    for _ in range(random.choice((1, 1, 2, 3))):
         size = len(content)
         a, b = sorted(random.sample(range(size + 1), 2))
-        match random.choice(("overwrite", "overwrite", "overwrite", "cut off", "cut out", "copy")):
+        match random.choice(("overwrite",) * 6 + ("cut off", "cut out", "copy")):
             case "overwrite":
-                new = random.randbytes(random.randint(1, 4))
+                new = random.randbytes(random.choice((1, 1, 2, 4)))
                 content = content[:b] + new + content[b + len(new) :]
             case "cut off":
                 content = content[: max(b, size // 2)]
@@ -108,30 +108,28 @@ def folder(tmp_path_factory) -> Iterator[Path]:
     resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-outcomes: dict[str, list[int]] = {}  # read, refused
-
-
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=CASES, deadline=None, database=None, suppress_health_check=list(HealthCheck))
-@given(seed=st.integers(0, 2**32 - 1))
-def test_a_mutated_file_is_read_or_refused_in_one_line(folder, kind, seed):
+def test_a_mutated_file_is_read_or_refused_in_one_line(folder, kind):
+    """And mutations are neither harmless nor hopeless: some of each kind are read, some are refused."""
     name, changed = KINDS[kind]
-    files.obj()(folder)
-    (folder / name).write_bytes(changed(Random(seed)))
-    start = time.process_time()
-    counts = outcomes.setdefault(kind, [0, 0])
-    try:
-        read_asset(folder / ("a.obj" if name == "m.mtl" else name))
-        counts[0] += 1
-    except ValueError as refusal:
-        counts[1] += 1
-        assert "\n" not in str(refusal) and str(folder) in str(refusal)
-        assert "cannot be read" not in str(refusal), "no fault is left to the parsers' own words"
-    assert time.process_time() - start < 5
+    read = refused = 0
 
+    @settings(max_examples=CASES, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+    @given(seed=st.integers(0, 2**32 - 1))
+    def one(seed: int) -> None:
+        nonlocal read, refused
+        files.obj()(folder)
+        (folder / name).write_bytes(changed(Random(seed)))
+        start = time.process_time()
+        try:
+            read_asset(folder / ("a.obj" if name == "m.mtl" else name))
+            read += 1
+        except ValueError as refusal:
+            refused += 1
+            assert "\n" not in str(refusal) and str(folder) in str(refusal)
+            assert "cannot be read" not in str(refusal), "no fault is left to the parsers' own words"
+        assert time.process_time() - start < 5
 
-def test_mutations_are_neither_harmless_nor_hopeless(folder):
-    assert outcomes.keys() == KINDS.keys()
-    print({kind: tuple(counts) for kind, counts in outcomes.items()})
-    for kind, (read, refused) in outcomes.items():
-        assert read > 0 and (refused > CASES / 20 or kind == "MTL, words"), (kind, read, refused)
+    one()
+    print(kind, read, refused)
+    assert read > 0 and (refused > CASES / 20 or kind == "MTL, words")

@@ -14,7 +14,6 @@ from PIL import Image
 
 from flx.assets.asset import Asset, Painting
 from flx.assets.formats.gltf import accessor, read_gltf
-from flx.assets.formats.images import decode_image
 from flx.assets.read import read_asset
 from flx.assets.write import write
 from flx.commands.doctor import describe
@@ -174,29 +173,6 @@ def test_a_ply_with_a_texture_file(tmp_path):
     asset = read_asset(tmp_path / "a.ply")
     assert (asset.mesh.textures[0] == [1, 2, 3]).all()
     assert np.allclose(asset.mesh.corner_uvs[3], [[1, 1], [0, 0], [0.5, 0.75]])
-
-
-@pytest.mark.parametrize(
-    "mode, value, expected, alpha",
-    [
-        ("L", 77, (77, 77, 77), None),
-        ("LA", (77, 5), (77, 77, 77), 5),
-        ("RGBA", (1, 2, 3, 255), (1, 2, 3), None),
-        ("RGBA", (1, 2, 3, 4), (1, 2, 3), 4),
-        ("I;16", 257 * 200, (200, 200, 200), None),
-        ("P", 0, None, None),
-    ],
-)
-def test_every_kind_of_image_becomes_8_bit_rgb(tmp_path, mode, value, expected, alpha):
-    if mode == "I;16":
-        image = Image.fromarray(np.full((3, 4), value, np.uint16))
-    else:
-        image = Image.new(mode, (4, 3), value)
-    image.save(tmp_path / "a.png")
-    rgb, found = decode_image((tmp_path / "a.png").read_bytes(), "a")
-    assert rgb.shape == (3, 4, 3)
-    assert expected is None or (rgb == expected).all()
-    assert (found is None) if alpha is None else (found == alpha).all()
 
 
 @pytest.mark.parametrize(

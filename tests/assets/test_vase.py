@@ -20,6 +20,29 @@ from flx.training.run_asset import keep, read_source
 from flx.types import TexturedMesh
 
 
+def exported_by_trimesh(mesh: TexturedMesh, path: Path) -> Path:
+    """The vase as it used to be made: trimesh writes it, and it is read from there."""
+    corners = np.concatenate([mesh.faces.reshape(-1, 1), mesh.corner_uvs.reshape(-1, 2)], 1)
+    split, faces = np.unique(corners, axis=0, return_inverse=True)
+    welded = split[:, 0].astype(np.int64)
+    material = trimesh.visual.material.PBRMaterial(
+        name="glaze",
+        baseColorTexture=Image.fromarray(mesh.textures[0]),
+        metallicFactor=0.0,
+        roughnessFactor=0.35,
+    )
+    uv = np.stack([split[:, 1], 1 - split[:, 2]], 1)
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    normals = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).vertex_normals[welded]
+    body = trimesh.Trimesh(
+        mesh.vertices[welded], faces.reshape(-1, 3), vertex_normals=normals, visual=visual, process=False
+    )
+    scene = trimesh.Scene()
+    scene.add_geometry(body, node_name="vase", geom_name="vase")
+    scene.export(str(path), file_type="glb", include_normals=True)
+    return path
+
+
 @pytest.fixture(scope="module")
 def mesh() -> TexturedMesh:
     return vase()
@@ -122,29 +145,6 @@ def test_the_file_holds_the_same_vase(mesh, tmp_path):
     welded = trimesh.Trimesh(body.vertices, body.faces)
     welded.merge_vertices(merge_tex=True, merge_norm=True)
     assert welded.is_watertight
-
-
-def exported_by_trimesh(mesh: TexturedMesh, path: Path) -> Path:
-    """The vase as it used to be made: trimesh writes it, and it is read from there."""
-    corners = np.concatenate([mesh.faces.reshape(-1, 1), mesh.corner_uvs.reshape(-1, 2)], 1)
-    split, faces = np.unique(corners, axis=0, return_inverse=True)
-    welded = split[:, 0].astype(np.int64)
-    material = trimesh.visual.material.PBRMaterial(
-        name="glaze",
-        baseColorTexture=Image.fromarray(mesh.textures[0]),
-        metallicFactor=0.0,
-        roughnessFactor=0.35,
-    )
-    uv = np.stack([split[:, 1], 1 - split[:, 2]], 1)
-    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-    normals = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).vertex_normals[welded]
-    body = trimesh.Trimesh(
-        mesh.vertices[welded], faces.reshape(-1, 3), vertex_normals=normals, visual=visual, process=False
-    )
-    scene = trimesh.Scene()
-    scene.add_geometry(body, node_name="vase", geom_name="vase")
-    scene.export(str(path), file_type="glb", include_normals=True)
-    return path
 
 
 def test_it_is_the_asset_that_runs_have_known_bit_for_bit(mesh, tmp_path):

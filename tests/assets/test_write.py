@@ -6,18 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from helpers.surfaces import icosphere
+from helpers.cube import CUBE, saved
+from helpers.files import colored_ball
 from PIL import Image
 
 from flx.assets.asset import Painting
 from flx.assets.formats.gltf import read_gltf
 from flx.assets.preflight import check_output
 from flx.assets.read import read_asset
-from flx.assets.unwrap import is_unwrappable, prepared_for, unwrapped
-from flx.assets.write import write, write_png
-from flx.geometry.atlas import atlas_texels
+from flx.assets.write import (
+    write,
+    write_png,
+)
 from flx.geometry.sampling import surface_colors
-from flx.geometry.seams import seam_ratio
 
 # A tetrahedron; the first half shows an image that has alpha, the second another image, one face a colour.
 OBJ = """mtllib m.mtl
@@ -49,18 +50,9 @@ def textured(folder: Path) -> Path:
     return folder / "mesh.obj"
 
 
-def colored(folder: Path) -> Path:
-    """A sphere with smooth vertex colours and normals, as PLY."""
-    vertices, faces = icosphere(2)
-    colors = np.rint(127 * (vertices + 1)).astype(np.uint8)
-    mesh = trimesh.Trimesh(vertices.astype(np.float32), faces, vertex_colors=colors, process=False)
-    (folder / "ball.ply").write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=True))
-    return folder / "ball.ply"
-
-
 @pytest.mark.parametrize("block", [1, 7, 162])
 def test_the_text_of_an_obj_is_the_same_wherever_its_rows_are_cut(tmp_path, monkeypatch, block):
-    asset = read_asset(colored(tmp_path))
+    asset = read_asset(colored_ball(tmp_path))
     colors = np.zeros((asset.report.vertices_read, 3), np.float32)
     write(asset, Painting({}, colors), tmp_path / "whole.obj")
     monkeypatch.setattr("flx.assets.write.BLOCK", block)
@@ -148,7 +140,7 @@ def test_an_obj_made_of_a_glb_has_its_normals_and_names_each_thing_once(tmp_path
 
 @pytest.mark.parametrize("format", ["obj", "ply"])
 def test_vertex_colours_are_read_back_by_trimesh(tmp_path, format):
-    asset = read_asset(colored(tmp_path))
+    asset = read_asset(colored_ball(tmp_path))
     colors = np.random.default_rng(0).integers(0, 256, (162, 3)).astype(np.float32) / 255
     write(asset, Painting({}, colors), tmp_path / f"out.{format}")
     found = trimesh.load_mesh(tmp_path / f"out.{format}", process=False, maintain_order=True)
@@ -165,24 +157,23 @@ def test_a_write_that_fails_half_way_leaves_the_old_file_and_nothing_else(tmp_pa
     """The system itself breaks the write: no file may grow beyond 1,000 bytes."""
     (tmp_path / "in").mkdir()
     (tmp_path / "out").mkdir()
-    asset, path = read_asset(colored(tmp_path / "in")), tmp_path / "out" / name
+    asset, path = read_asset(colored_ball(tmp_path / "in")), tmp_path / "out" / name
     path.write_bytes(b"old")
     noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
-    writers = {
-        ".glb": lambda: write(asset, Painting({}, np.zeros((162, 3), np.float32)), path),
-        ".obj": lambda: write(asset, Painting({}, np.zeros((162, 3), np.float32)), path),
-        ".ply": lambda: write(asset, Painting({}, np.zeros((162, 3), np.float32)), path),
-        ".png": lambda: write_png(path, noise),
-    }
+    black = Painting({}, np.zeros((162, 3), np.float32))
+
+    def write_it() -> None:
+        write_png(path, noise) if path.suffix == ".png" else write(asset, black, path)
+
     old = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, old[1]))
     try:
         with pytest.raises(OSError):
-            writers[path.suffix]()
+            write_it()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
     assert path.read_bytes() == b"old" and list((tmp_path / "out").iterdir()) == [path]
-    writers[path.suffix]()
+    write_it()
     assert len(path.read_bytes()) > 1000
 
 
@@ -191,59 +182,42 @@ def test_a_ply_is_not_written_from_textures(tmp_path):
         check_output(read_asset(textured(tmp_path)), "ply", [tmp_path / "out.ply"])
 
 
-def test_what_a_new_ply_will_not_have_is_named_in_one_line(tmp_path, capsys):
-    head = ["ply", "format ascii 1.0", "comment hi", "obj_info there", "element vertex 4"]
-    head += [f"property float {name}" for name in ("x", "y", "z", "quality", "s", "t")]
-    head += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha")]
-    head += ["element face 1", "property list uchar int vertex_indices", "property int flags"]
-    head += ["element edge 1", "property int vertex1", "end_header"]
-    rows = [f"{x} {y} 0 0.5 {x} {y} 9 99 199 7" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    (tmp_path / "a.ply").write_text("\n".join([*head, *rows, "4 0 1 2 3 5", "0", ""]))
-    asset = read_asset(tmp_path / "a.ply")
-    told = "1 polygon, vertex quality, vertex alpha, face flags, 1 × edge, 2 comments"
-    for format, more in (("ply", ", ASCII text, texture coordinates"), ("glb", ""), ("obj", "")):
-        check_output(asset, format, [tmp_path / f"out.{format}"])
-        assert capsys.readouterr().err == f"{asset.path}: {told}{more} stay behind\n"
-    write(asset, Painting({}, np.zeros((4, 3), np.float32)), tmp_path / "out.ply")
-    check_output(read_asset(tmp_path / "out.ply"), "ply", [tmp_path / "b.ply"])
-    assert capsys.readouterr().err == ""
-
-
 # --- unwrapping
 
 
-def test_without_xatlas_one_line_says_how_to_install_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(__import__("sys").modules, "xatlas", None)
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    asset = read_asset(colored(tmp_path))
-    with pytest.raises(ValueError, match=r"ball\.ply has no texture coordinates; pip install '\.\[uv\]' in"):
-        unwrapped(asset)
-    assert prepared_for(asset, "ply") is asset and capsys.readouterr().err == ""
-    assert prepared_for(asset, "glb") is asset
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "pip install '.[uv]'" in said
+@pytest.mark.parametrize(
+    "says, factor, mode",
+    [
+        ("", None, "OPAQUE"),  # a picture's alpha that no material speaks of
+        ("map_d {}", None, "BLEND"),
+        ("map_d other.png", None, "OPAQUE"),
+        ("d 1\nTr 1", None, "OPAQUE"),  # d is the specification's
+        ("Tr 0.25", 0.75, "BLEND"),
+        ("d -halo 0.5\nmap_d {}", 0.5, "BLEND"),
+        ("d 7", None, "OPAQUE"),
+        ("d nan", None, "OPAQUE"),
+    ],
+)
+@pytest.mark.parametrize("alpha", [77, 255, 0])
+def test_a_glb_is_as_opaque_as_the_materials_say(tmp_path, says, factor, mode, alpha):
+    """Alpha of nothing between is a mask; of 255 it is none."""
+    name = "textures/wood grain.png"
+    path = saved(tmp_path, mtl=f"newmtl wood\nmap_Kd {name}\n{says.format(name)}\nnewmtl bone white\nd 0.5")
+    image = Image.new("RGBA", (8, 4), (10, 20, 30, alpha))
+    image.save(tmp_path / name)
+    asset = read_asset(path)
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
+    wood, bone = read_gltf(tmp_path / "out.glb").document["materials"]  # none for the faces there are not
+    wanted = {77: mode, 255: "BLEND" if factor else "OPAQUE", 0: "MASK" if mode == "BLEND" else mode}[alpha]
+    assert wood.get("alphaMode", "OPAQUE") == ("BLEND" if factor else wanted)
+    assert wood["pbrMetallicRoughness"].get("baseColorFactor") == (factor and [1, 1, 1, factor])
+    assert bone["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 0.5] and bone["alphaMode"] == "BLEND"
 
 
-@pytest.mark.parametrize("through_a_run", [False, True])
-def test_an_unwrapped_mesh_shows_its_vertex_colours_on_the_same_triangles(tmp_path, through_a_run):
-    pytest.importorskip("xatlas", reason="xatlas is not installed: pip install '.[uv]'")
-    asset = first = read_asset(colored(tmp_path))
-    if through_a_run:  # a run keeps its asset as a GLB
-        write(first, Painting({}, first.parts[0].colors), tmp_path / "run.glb")
-        asset = read_asset(tmp_path / "run.glb")
-    assert is_unwrappable(asset)
-    charted = prepared_for(asset, "glb")
-    assert not is_unwrappable(charted) and charted.digest == asset.digest
-    atlas = atlas_texels(charted.mesh, 0, *charted.mesh.textures[0].shape[:2])
-    assert len(np.unique(atlas.faces)) == len(asset.mesh.faces) + 1  # every face, and the gutter
-    write(charted, Painting({"base_color": charted.mesh.textures}), tmp_path / "out.glb")
-    again = read_asset(tmp_path / "out.glb")
-    np.testing.assert_allclose(
-        again.mesh.vertices[again.mesh.faces], asset.mesh.vertices[asset.mesh.faces], atol=1e-7
-    )
-    points = atlas.points
-    seen, wanted = surface_colors(again.mesh, points), surface_colors(asset.mesh, points)
-    assert np.ptp(wanted) > 0.8 and np.abs(seen - wanted).max() < 2 / 255
-    assert seam_ratio(again.mesh) == pytest.approx(1, abs=0.3)
-    primitive = read_gltf(tmp_path / "out.glb").document["meshes"][0]["primitives"][0]
-    assert set(primitive["attributes"]) == {"POSITION", "NORMAL", "TEXCOORD_0"}
+@pytest.mark.parametrize("more, name", [("", "cube"), ("\no second\n", "mesh"), ("\no cube\n", "cube")])
+def test_a_glb_is_called_like_the_one_object_of_an_obj(tmp_path, more, name):
+    path = saved(tmp_path, CUBE + more).rename(tmp_path / "mesh.obj")
+    asset = read_asset(path)
+    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
+    document = read_gltf(tmp_path / "out.glb").document
+    assert document["nodes"][0]["name"] == document["meshes"][0]["name"] == name

@@ -1,18 +1,46 @@
 """Every row of `flx bench` for the FL-VAE names what was timed, and how fast that was."""
 
+import os
+import time
+
+import pytest
+
+from flx.commands import bench
 from flx.config import FLVAE
-from flx.evaluation import timings as bench
 from flx.pipeline.codec import Codec, initial_params
 
+WARM_UP, ENCODE, DECODE = 1000.0, 2.0, 9.0  # seconds
 
-def test_the_codec_has_its_rows(monkeypatch):
-    for name, size in {"VERTICES": 40, "TEXELS": 90, "RINGS": 4, "SIDE": 16}.items():
-        monkeypatch.setattr(bench, name, size)
+
+@pytest.fixture(scope="module")
+def rows() -> dict[str, dict]:
+    """Of a codec that takes as long as above, on a clock that is put forward."""
     small = FLVAE(channels=8, layers=1, heads=2, samples=6, decoder_width=8, decoder_layers=2)
-    monkeypatch.setattr(bench, "FLVAE", lambda: small)
-    monkeypatch.setattr(bench, "load_codec", lambda: Codec(small, initial_params(small, 0)))
-    rows = {row["name"]: row for row in bench.codec_rows(repeats=1)}
-    assert list(rows) == [
+    clock, skipped, calls = time.perf_counter, [0.0], {"encode": 0, "decode": 0}
+
+    def slow(name: str, seconds: float):
+        def call(self, *arguments):
+            skipped[0] += seconds if calls[name] else WARM_UP
+            calls[name] += 1
+            return getattr(Codec, name)(self, *arguments)
+
+        return call
+
+    class Slow(Codec):
+        encode, decode = slow("encode", ENCODE), slow("decode", DECODE)
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name, size in {"VERTICES": 40, "TEXELS": 90, "RINGS": 4, "SIDE": 16}.items():
+            patch.setattr(bench, name, size)
+        patch.setattr(bench, "FLVAE", lambda: small)
+        patch.setattr(bench, "load_codec", lambda: Slow(small, initial_params(small, 0)))
+        patch.setattr(time, "perf_counter", lambda: clock() + skipped[0])
+        return {row["name"]: row for row in bench.codec_rows(repeats=2)} | {"calls": calls}
+
+
+@pytest.mark.slow
+def test_the_codec_has_its_rows(rows):
+    assert list(rows)[:-1] == [
         "product/float32",
         "product/bfloat16",
         "encode/40",
@@ -20,7 +48,7 @@ def test_the_codec_has_its_rows(monkeypatch):
         "transformer_forward/4",
         "transformer_gradient/4",
     ]
-    for name, row in rows.items():
+    for name, row in list(rows.items())[:-1]:
         assert row["seconds"] > 0
         kind, count = name.split("/")
         if kind == "product":
@@ -33,3 +61,18 @@ def test_the_codec_has_its_rows(monkeypatch):
     )
     assert gradient > 1.5 * forward > 0
     assert rows["decode/90"]["peak_bytes"] >= rows["encode/40"]["peak_bytes"] > 1e7
+
+
+@pytest.mark.slow
+def test_seconds_are_those_of_a_call_after_the_first_by_the_clock(rows):
+    assert rows["calls"] == {"encode": 3, "decode": 3}
+    for name, seconds, count in (("encode/40", ENCODE, 40), ("decode/90", DECODE, 90)):
+        assert seconds <= rows[name]["seconds"] < seconds + 1
+        assert count / (seconds + 1) - 1 < rows[name]["per_second"] <= count / seconds
+
+
+def test_the_peak_is_in_bytes_and_of_this_process():
+    page = os.sysconf("SC_PAGE_SIZE")
+    with open("/proc/self/statm") as file:
+        held = int(file.read().split()[1]) * page
+    assert 0.9 * held < bench.peak_bytes() < os.sysconf("SC_PHYS_PAGES") * page

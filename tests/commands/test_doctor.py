@@ -14,6 +14,7 @@ from flx.assets.read import read_asset
 from flx.commands.doctor import Findings, describe, examine
 from flx.config import FLDM, FLDMExperiment, Surface, Train
 from flx.launch import main
+from flx.models.denoiser.depth import blocks_for
 
 PLAN = FLDMExperiment(surface=Surface(vertices=5000, copies=8), train=Train(steps=100, batch=1))
 
@@ -102,6 +103,18 @@ def test_the_estimate_grows_with_what_a_run_is_made_of(tmp_path):
     assert twice.copy_seconds == 2 * plan.copy_seconds and twice.disk_bytes == 2 * plan.disk_bytes
     assert twice.train_seconds == 4 * plan.train_seconds and twice.step_seconds == 2 * plan.step_seconds
     assert twice.train_bytes > plan.train_bytes
+
+
+@pytest.mark.parametrize("vertices", [100, 1000, 2500, 5000, 10_000, 20_000, 30_000])
+def test_the_network_that_is_estimated_is_the_one_that_is_trained(tmp_path, vertices):
+    asset, blocks = square(tmp_path, 0.5), blocks_for(vertices)
+    surface = Surface(vertices=vertices, copies=8)
+    found, asked = (
+        examined(asset, FLDMExperiment(surface=surface, model=FLDM(blocks=b))).plan for b in (None, blocks)
+    )
+    assert found.train_seconds == asked.train_seconds and found.train_bytes == asked.train_bytes
+    shallow = examined(asset, FLDMExperiment(surface=surface, model=FLDM(blocks=(1, 0, 0)))).plan
+    assert shallow.train_seconds == pytest.approx(found.train_seconds / sum(blocks))
 
 
 def test_the_command_prints_everything_as_json(tmp_path, capsys):

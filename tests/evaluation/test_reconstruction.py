@@ -78,41 +78,6 @@ def test_wrong_input_is_refused_and_nothing_lost(folder, tmp_path, methods, cont
     assert not content or (tmp_path / "table.json").read_text() == content
 
 
-def test_colours_reach_the_texels_of_their_points(folder):
-    """The whole way of a row with an exact method: the texels' own colours leave no error."""
-    from helpers.surfaces import icosphere
-
-    from flx.assets.read import read_asset
-    from flx.evaluation.fidelity import fidelity
-    from flx.geometry.sampling import surface_colors
-    from flx.pipeline.canvas import CHUNK, open_canvas, painted
-
-    asset = read_asset(folder / "vase.glb")
-    size = max(asset.mesh.textures[0].shape[:2])
-    canvas = open_canvas(asset, icosphere(2), size)
-    colors = surface_colors(asset.mesh, canvas.atlases[0].points)
-    parts = np.split(colors, range(CHUNK, len(colors), CHUNK))
-    assert len(parts) > 1
-    assert fidelity(asset, painted(canvas, iter(parts)))["psnr"] > 100
-    assert fidelity(asset, painted(canvas, (1 - part for part in parts)))["psnr"] < 20
-
-
-def test_chunks_are_asked_where_the_texels_are(folder):
-    """On its own triangles, a texel's corners and weights lead back to its place on the surface, in order."""
-    from flx.assets.read import read_asset
-    from flx.pipeline.canvas import chunks, open_canvas
-    from flx.types import Triangulation
-
-    asset = read_asset(folder / "vase.glb")
-    vertices, faces = asset.mesh.vertices, asset.mesh.faces
-    canvas = open_canvas(asset, Triangulation(vertices, faces), 128)
-    assert canvas.atlases[0] is not None
-    points = canvas.atlases[0].points
-    places = [np.einsum("pkx,pk->px", vertices[part.vertices], part.barycentrics) for part in chunks(canvas)]
-    expected = np.einsum("pkx,pk->px", vertices[faces[points.faces]], points.barycentrics)
-    np.testing.assert_allclose(np.concatenate(places), expected, atol=1e-5 * np.ptp(vertices))
-
-
 def test_an_image_is_laid_on_a_sheet_of_its_proportions(tmp_path):
     """Nothing of it is hidden or turned: as a sheet's texture, upright, it is the image itself."""
     from PIL import Image

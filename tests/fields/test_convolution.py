@@ -15,8 +15,6 @@ from flx.types import OneRings, Pooling
 
 FILTERS = ("harmonic", "mlp")
 C, D, E = 5, 3, 4
-
-
 SPHERE = tables_of(icosphere(1))  # 42 vertices
 TORUS = tables_of(torus(8, 6))
 OPEN = tables_of(square_grid(6))
@@ -152,6 +150,7 @@ def plain_conv(rings: OneRings, x, parameters, embedding, filter: str):
     return summed @ jax.lax.complex(p["output"][0], p["output"][1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["fine", "coarse"])
 @pytest.mark.parametrize("filter", FILTERS)
 def test_scatter_free_gradients_are_those_of_autodiff(filter, level):
@@ -170,6 +169,7 @@ def test_scatter_free_gradients_are_those_of_autodiff(filter, level):
         assert relative(ours[1][name], theirs[1][name]) < 1e-4, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter", FILTERS)
 def test_no_scatter_in_the_compiled_gradient(filter):
     rings, count = OPEN.fine, len(OPEN.fine.masses)
@@ -185,6 +185,7 @@ def test_no_scatter_in_the_compiled_gradient(filter):
     assert "stablehlo.scatter" in program(plain_conv)  # the word is the right one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter", FILTERS)
 def test_copies_in_a_batch_do_not_see_each_other(filter):
     rings = jax.tree.map(lambda *a: jnp.stack(a), OPEN.fine, OPEN.fine)
@@ -203,6 +204,7 @@ def test_copies_in_a_batch_do_not_see_each_other(filter):
         assert relative(together[name], one[name] + two[name]) < 1e-4, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter", FILTERS)
 def test_initial_filters_keep_the_size_of_noise(filter):
     rings, x = tables_of(icosphere(2)).fine, tangent_noise(jax.random.key(0), (162, 64))
@@ -261,6 +263,7 @@ def test_unpooling_then_pooling_is_the_identity():
     assert relative(pool(SPHERE.pooling, unpool(SPHERE.pooling, y)), y) < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surface", SURFACES)
 def test_pooling_gradients_are_those_of_autodiff(surface):
     tables = SURFACES[surface]

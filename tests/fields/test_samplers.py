@@ -1,21 +1,31 @@
-"""Laws of the diffusion: the reverse steps are the exact posterior, and find what the denoiser knows."""
+"""Laws of the samplers: the reverse steps are the exact posterior, and find what the denoiser knows."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from flx.fields import diffusion, samplers
 from flx.fields.algebra import tangent_noise
 
+
+def of_gaussian(spread: float):
+    """The exact denoiser of Z ~ N(0, s²), which is linear."""
+    alphas = jnp.asarray(ALPHAS, jnp.float32)
+
+    def exact(z, t):
+        alpha = alphas[t.astype(int)]
+        return z * jnp.sqrt(1 - alpha) / (alpha * spread**2 + 1 - alpha)
+
+    return exact
+
+
 ALPHAS = diffusion.linear_schedule(1000, 1e-4, 2e-2)
-
-
-def test_schedule_falls_from_one_to_almost_nothing():
-    assert ALPHAS[0] == 1 and np.all(np.diff(ALPHAS) < 0)
-    np.testing.assert_allclose(ALPHAS[-1], 4.0e-5, rtol=0.02)
+SAMPLERS = {
+    "ancestral": samplers.ancestral(ALPHAS),
+    "ddim": samplers.ddim(ALPHAS, 20),
+    "dpm": samplers.dpm_solver(ALPHAS, 20),
+}
 
 
 def test_ancestral_steps_are_the_gaussian_posterior():
@@ -34,13 +44,6 @@ def test_ancestral_steps_are_the_gaussian_posterior():
 def test_last_step_adds_no_noise():
     steps = samplers.ancestral(ALPHAS).table
     assert steps["t"][-1] == 1 and steps["c3"][-1] == 0 and steps["c3"][0] > 0.1
-
-
-SAMPLERS = {
-    "ancestral": samplers.ancestral(ALPHAS),
-    "ddim": samplers.ddim(ALPHAS, 20),
-    "dpm": samplers.dpm_solver(ALPHAS, 20),
-}
 
 
 @pytest.mark.parametrize("name", SAMPLERS)
@@ -62,17 +65,6 @@ def test_ddim_times_go_from_the_end_to_zero(count):
     t, s = samplers.spaced(ALPHAS, count)
     assert t[0] == 1000 and np.all(np.diff(t) < 0) and len(t) == count
     assert s[-1] == 0 and np.all(s[:-1] == t[1:])
-
-
-def of_gaussian(spread: float):
-    """The exact denoiser of Z ~ N(0, s²), which is linear."""
-    alphas = jnp.asarray(ALPHAS, jnp.float32)
-
-    def exact(z, t):
-        alpha = alphas[t.astype(int)]
-        return z * jnp.sqrt(1 - alpha) / (alpha * spread**2 + 1 - alpha)
-
-    return exact
 
 
 def test_a_gaussian_is_sampled_with_its_own_variance():
@@ -117,13 +109,6 @@ def test_a_hook_sees_every_step_and_has_the_last_word(name):
     assert np.abs(plain - point).min() > 0.1
     same = samplers.reverse(of_gaussian(1.0), SAMPLERS[name], start, jax.random.key(2), lambda z, s, key: z)
     np.testing.assert_array_equal(same, plain)
-
-
-@given(alpha=st.floats(0, 1), seed=st.integers(0, 99))
-def test_diffusion_keeps_unit_power(alpha, seed):
-    a, b = (tangent_noise(jax.random.key(seed + k), (4000,)) for k in (0, 1000))
-    power = np.mean(np.abs(diffusion.diffuse(a, b, jnp.float32(alpha))) ** 2)
-    np.testing.assert_allclose(power, 2, rtol=0.1)
 
 
 @pytest.mark.parametrize("sampler", [samplers.ddim, samplers.dpm_solver])

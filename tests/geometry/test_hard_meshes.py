@@ -21,14 +21,11 @@ from helpers.surfaces import (
     square_with_hole,
     three_touching_boxes,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from flx.geometry.copies import queries, sample_rings
 from flx.geometry.remesh.remesh import remesh
 from flx.geometry.repair import repair
-from flx.geometry.tables import mesh_tables, one_rings
-from flx.geometry.tangent import mean_vertex_radius, tangent_frames
+from flx.geometry.tables import mesh_tables
 from flx.types import SurfacePoints, Triangulation
 
 
@@ -37,6 +34,7 @@ def walls(points: np.ndarray) -> np.ndarray:
     return np.sign(np.linalg.norm(points[..., :2], axis=-1) - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thickness", [0.1, 0.02, 0.005])
 def test_nothing_jumps_through_a_thin_wall(thickness):
     """Walls of 0.6 edges, an eighth, a thirtieth: projection, colours, queries, pooling keep sides."""
@@ -71,6 +69,7 @@ def test_nothing_jumps_through_a_thin_wall(thickness):
     assert (wall[pooling.centers[pooling.parents]] == wall)[lower].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("thickness", "seed"), [(0.02, 0), (0.02, 1), (0.005, 0)])
 def test_the_two_boundaries_of_a_thin_wall_stay_two(thickness, seed):
     """At the open end of a sleeve, walls a fraction of an edge apart have a boundary each."""
@@ -122,35 +121,7 @@ def test_sheets_keep_every_hole_and_parts_smaller_than_a_ring_stay():
     assert (level[pooling.centers[pooling.parents]] == level).all()
 
 
-@settings(max_examples=20)
-@given(st.integers(3, 160), st.booleans(), st.floats(0, 3), st.integers(0, 10**6))
-def test_rings_of_any_valence_close_or_stay_open(valence, closed, height, seed):
-    """A cone of `valence` spokes: interior angles fill the circle; at a boundary they are left alone."""
-    rng = np.random.default_rng(seed)
-    turn = np.sort(rng.permutation(4 * valence)[:valence]) if not closed else 4 * np.arange(valence)
-    turn = turn * (np.pi / 2 / valence) * (1.0 if closed else 0.7)
-    rim = np.stack([np.cos(turn), np.sin(turn), np.full(valence, -height)], 1)
-    points = np.concatenate([np.zeros((1, 3)), rim])
-    spokes = 1 + np.arange(valence)
-    faces = np.stack([np.zeros(valence, np.int64), spokes, np.roll(spokes, -1)], 1)
-    cone = Triangulation(points, faces if closed else faces[:-1])
-    frames = tangent_frames(cone)
-    rings = one_rings(frames, slots=valence + 1)
-    assert (rings.neighbors[0, 1:] == spokes).all()
-    logs = rings.logs[0, 1:].astype(complex)
-    radius = np.sqrt(1 + height**2) / mean_vertex_radius(cone)
-    np.testing.assert_allclose(np.abs(logs), radius, rtol=1e-5)
-    chords = np.linalg.norm(rim - np.roll(rim, -1, 0), axis=1)
-    angles = 2 * np.arcsin(np.minimum(chords / 2 / np.sqrt(1 + height**2), 1))[: valence if closed else -1]
-    steps = angles * (2 * np.pi / angles.sum()) if closed else angles
-    theta = np.concatenate([[0], np.cumsum(steps)])[:valence]
-    np.testing.assert_allclose(logs, radius * np.exp(1j * theta), atol=1e-4 * radius)
-    with pytest.raises(
-        ValueError, match=f"vertex 0 has {valence} neighbours but the table has {valence} slots"
-    ):
-        one_rings(frames, slots=valence)
-
-
+@pytest.mark.slow
 def test_a_rough_surface_has_no_sharp_corners():
     """Its grain is finer than the copy; smoothing alone leaves 1.3 % of its faces sharper than 35°."""
     rock = icosphere(5)
@@ -160,6 +131,7 @@ def test_a_rough_surface_has_no_sharp_corners():
     assert np.percentile(angles, 1) > 35 and angles.min() > 5
 
 
+@pytest.mark.slow
 def test_spikes_narrower_than_an_edge_are_reached_where_they_can_be():
     """An edge high: smoothing alone slides off them, to 0.54 of an edge on average."""
     hedgehog = icosphere(4)

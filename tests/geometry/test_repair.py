@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from flx.geometry.arrays import distinct_rows
 from flx.geometry.repair import WELD_TOLERANCE, repair, topology_counts, weld
 
 
@@ -192,16 +191,3 @@ def test_a_sheet_with_a_back_keeps_one_side():
 def test_nothing_left_is_an_error():
     with pytest.raises(ValueError, match="no triangles"):
         repair(np.zeros((3, 3)), np.array([[0, 1, 2]]))
-
-
-@settings(max_examples=60)
-@given(
-    st.integers(1, 40), st.integers(1, 4), st.sampled_from([1, 1 << 20, 1 << 61, -1.0]), st.integers(0, 1000)
-)
-def test_distinct_rows_are_those_of_numpy(count, width, scale, seed):
-    """Of whole numbers that fit into 63 bits with their place, without it or not; of others, with −0.0."""
-    rows = np.random.default_rng(seed).integers(-1, 2, (count, width)) * scale
-    first, which = distinct_rows(rows)
-    expected = np.unique(rows + 0, axis=0, return_index=True, return_inverse=True)
-    for ours, theirs in zip((rows[first], first, which), expected, strict=True):
-        np.testing.assert_array_equal(ours, theirs.reshape(ours.shape))

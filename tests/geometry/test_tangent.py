@@ -4,9 +4,10 @@ import numpy as np
 import potpourri3d
 import pytest
 from helpers.surfaces import both, bump, folded, moved, sheet, uneven_sphere, uneven_torus
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flx.geometry.tables import one_rings
 from flx.geometry.tangent import (
     TangentFrames,
     corner_logs,
@@ -209,3 +210,32 @@ def test_vertex_of_two_fans_is_refused_by_name():
     points = np.random.default_rng(0).normal(size=(7, 3))
     with pytest.raises(ValueError, match="vertex 2 joins several fans"):
         tangent_frames(Triangulation(points, np.array([[0, 1, 2], [3, 2, 4]])))
+
+
+@settings(max_examples=20)
+@given(st.integers(3, 160), st.booleans(), st.floats(0, 3), st.integers(0, 10**6))
+def test_rings_of_any_valence_close_or_stay_open(valence, closed, height, seed):
+    """A cone of `valence` spokes: interior angles fill the circle; at a boundary they are left alone."""
+    rng = np.random.default_rng(seed)
+    turn = np.sort(rng.permutation(4 * valence)[:valence]) if not closed else 4 * np.arange(valence)
+    turn = turn * (np.pi / 2 / valence) * (1.0 if closed else 0.7)
+    rim = np.stack([np.cos(turn), np.sin(turn), np.full(valence, -height)], 1)
+    points = np.concatenate([np.zeros((1, 3)), rim])
+    spokes = 1 + np.arange(valence)
+    faces = np.stack([np.zeros(valence, np.int64), spokes, np.roll(spokes, -1)], 1)
+    cone = Triangulation(points, faces if closed else faces[:-1])
+    frames = tangent_frames(cone)
+    rings = one_rings(frames, slots=valence + 1)
+    assert (rings.neighbors[0, 1:] == spokes).all()
+    logs = rings.logs[0, 1:].astype(complex)
+    radius = np.sqrt(1 + height**2) / mean_vertex_radius(cone)
+    np.testing.assert_allclose(np.abs(logs), radius, rtol=1e-5)
+    chords = np.linalg.norm(rim - np.roll(rim, -1, 0), axis=1)
+    angles = 2 * np.arcsin(np.minimum(chords / 2 / np.sqrt(1 + height**2), 1))[: valence if closed else -1]
+    steps = angles * (2 * np.pi / angles.sum()) if closed else angles
+    theta = np.concatenate([[0], np.cumsum(steps)])[:valence]
+    np.testing.assert_allclose(logs, radius * np.exp(1j * theta), atol=1e-4 * radius)
+    with pytest.raises(
+        ValueError, match=f"vertex 0 has {valence} neighbours but the table has {valence} slots"
+    ):
+        one_rings(frames, slots=valence)

@@ -3,10 +3,13 @@
 import io
 import json
 import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import trimesh
+from helpers.surfaces import icosphere
 from PIL import Image
 
 OBJ = """mtllib m.mtl
@@ -116,3 +119,101 @@ def obj(change: Callable[[str], str] = str, mtl: str = MTL, image: bytes | None 
         return folder / "a.obj"
 
     return build
+
+
+def colored_ball(folder: Path) -> Path:
+    """A sphere with smooth vertex colours and normals, as PLY."""
+    vertices, faces = icosphere(2)
+    colors = np.rint(127 * (vertices + 1)).astype(np.uint8)
+    mesh = trimesh.Trimesh(vertices.astype(np.float32), faces, vertex_colors=colors, process=False)
+    (folder / "ball.ply").write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=True))
+    return folder / "ball.ply"
+
+
+def png_bomb(width: int, height: int) -> bytes:
+    """A grey PNG of one colour, made row by row: large inside, small outside."""
+    squeeze, row = zlib.compressobj(9), bytes(width + 1)
+    data = b"".join(squeeze.compress(row) for _ in range(height)) + squeeze.flush()
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def ply(content: str | bytes) -> Build:
+    return raw("a.ply", content)
+
+
+def raw(name: str, content: str | bytes) -> Build:
+    def build(folder: Path) -> Path:
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        return folder / name
+
+    return build
+
+
+def gltf(change: Callable[[dict], object], binary: Callable[[bytearray], object] = len) -> Build:
+    """The GLB with its document (and its bytes) changed in place."""
+
+    def build(folder: Path) -> Path:
+        changed, content = document()
+        content = bytearray(content)
+        change(changed), binary(content)
+        (folder / "a.glb").write_bytes(glb(changed, bytes(content)))
+        return folder / "a.glb"
+
+    return build
+
+
+def image_uri(uri: str) -> Build:
+    return gltf(lambda d: d.update(images=[{"uri": uri}]))
+
+
+def buffer_uri(uri: str) -> Build:
+    return gltf(lambda d: d.update(buffers=[d["buffers"][0] | {"uri": uri}]))
+
+
+def symlink(build: Build, name: str, target: str) -> Build:
+    def linked(folder: Path) -> Path:
+        path = build(folder)
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).symlink_to(target)
+        return path
+
+    return linked
+
+
+def special(name: str, make: Callable[[Path], object]) -> Build:
+    def build(folder: Path) -> Path:
+        make(folder / name)
+        return folder / name
+
+    return build
+
+
+def beside(build: Build, name: str, make: Callable[[Path], object]) -> Build:
+    """As `build`, with something else in the place of one of its files."""
+
+    def changed(folder: Path) -> Path:
+        path = build(folder)
+        (folder / name).unlink(missing_ok=True)
+        make(folder / name)
+        return path
+
+    return changed
+
+
+def set_(d: dict, *keys: str | int, to: object) -> None:
+    for key in keys[:-1]:
+        d = d[key]
+    d[keys[-1]] = to
+
+
+def at(*keys: str | int, to: object) -> Build:
+    return gltf(lambda d: set_(d, *keys, to=to))
+
+
+def floats(offset: int, *values: float) -> Callable[[bytearray], None]:
+    return lambda content: struct.pack_into(f"<{len(values)}f", content, offset, *values)

@@ -59,3 +59,19 @@ def padded(rings: OneRings, slots: int = 2, vertices: int = 3) -> OneRings:
     reverse[count:] = np.arange(width + slots)
     arrays = neighbors, reverse, grow(rings.logs, 0), grow(rings.transports, 1), grow(rings.weights, 0)
     return OneRings(*map(jnp.asarray, arrays), jnp.pad(rings.masses, (0, vertices)))
+
+
+def fields(vertices: int, channels: int = 6) -> tuple[jax.Array, jax.Array]:
+    return tuple(tangent_noise(jax.random.key(k), (vertices, channels)) for k in (0, 1))  # type: ignore
+
+
+def as_complex(pairs: jax.Array) -> jax.Array:
+    return jax.lax.complex(*jnp.split(pairs, 2, -1))
+
+
+def frames(vertices: int) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-np.pi, np.pi, vertices)
+
+
+def turn_of(alpha: np.ndarray) -> jax.Array:
+    return jnp.asarray(np.exp(1j * alpha), jnp.complex64)[:, None]

@@ -119,6 +119,7 @@ def network_of(name: str) -> Network:
 networks = pytest.mark.parametrize("name", DENOISERS)
 
 
+@pytest.mark.slow
 @networks
 def test_denoisers_turn_with_the_frames(name):
     """Frames turned at random; and the frames of the same mesh with its faces in another order."""
@@ -137,6 +138,7 @@ def test_denoisers_turn_with_the_frames(name):
         assert relative(network.answer(network.params, tables, z, RHO), here * turns) > 1e-3
 
 
+@pytest.mark.slow
 @networks
 def test_denoisers_see_no_motion_and_no_scale(name):
     """Tables rebuilt from a mesh that was turned, shifted and made 37 times as large."""
@@ -148,6 +150,7 @@ def test_denoisers_see_no_motion_and_no_scale(name):
     assert relative(network.answer(network.params, stretched, z, RHO), here) > 1e-4
 
 
+@pytest.mark.slow
 @networks
 def test_denoisers_do_not_mind_the_numbering(name):
     """Rows of both levels in another order."""
@@ -179,6 +182,7 @@ def renumbered(tables: MeshTables, fine: np.ndarray, coarse: np.ndarray) -> Mesh
     )
 
 
+@pytest.mark.slow
 @networks
 def test_denoisers_do_not_see_padding(name):
     """Beside a larger copy: spare slots, vertices, clusters and children, and any number in spare rows."""
@@ -195,6 +199,7 @@ def test_denoisers_do_not_see_padding(name):
     assert relative(there[:COUNT], here) < EXACT
 
 
+@pytest.mark.slow
 @networks
 def test_detail_goes_around_the_coarse_level(name):
     """Where nothing is pooled and nothing comes back from below, a change is still seen: along the skip."""
@@ -208,6 +213,7 @@ def test_detail_goes_around_the_coarse_level(name):
     assert change[9] > 3 * np.median(change) > 0  # the rest moves a little: norms see the whole surface
 
 
+@pytest.mark.slow
 @networks
 def test_gradients_of_denoisers_are_slopes_and_know_no_frame(name):
     """Against a central difference along a random direction in all parameters; and in other frames."""
@@ -300,6 +306,7 @@ def code_turn(name: str, turn: np.ndarray) -> np.ndarray:
     return np.where(np.arange(CODECS[name].latents) < vectors, turn[:, None], 1)
 
 
+@pytest.mark.slow
 @codecs
 def test_codes_and_colours_see_no_motion_and_no_scale(name):
     samples = samples_of(HILL)
@@ -312,6 +319,7 @@ def test_codes_and_colours_see_no_motion_and_no_scale(name):
     assert relative(there_and_back(name, stretched, samples)[2], here[2]) > 1e-4
 
 
+@pytest.mark.slow
 @codecs
 def test_codes_turn_with_the_frames_and_colours_stay(name):
     """Vertices renumbered, faces in another order and begun at another corner: other frames throughout."""
@@ -336,6 +344,7 @@ def test_codes_turn_with_the_frames_and_colours_stay(name):
     assert relative(colors, here[2][old]) < EXACT
 
 
+@pytest.mark.slow
 @codecs
 def test_a_ring_sees_its_own_samples_in_any_order_and_company(name):
     encode, _ = codec_of(name)

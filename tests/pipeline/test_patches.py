@@ -9,7 +9,6 @@ from PIL import Image
 from flx.config import FLVAE, Images
 from flx.pipeline import patches as patching
 from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, Placement
-from flx.pipeline.printed_pages import printed_pages
 
 CONFIG, MODEL = Images(queries=2), FLVAE(samples=16)
 
@@ -46,6 +45,7 @@ def plain(count: int, **changed) -> Placement:
     return placement._replace(**changed)
 
 
+@pytest.mark.slow
 def test_a_batch_is_the_same_in_every_run_and_another_at_another_step(patches):
     again = ImagePatches(patches.config, MODEL, 8)
     np.testing.assert_array_equal(patches(3).rings.colors, again(3).rings.colors)
@@ -54,6 +54,7 @@ def test_a_batch_is_the_same_in_every_run_and_another_at_another_step(patches):
     assert patches.digest == again.digest
 
 
+@pytest.mark.slow
 def test_every_point_lies_in_a_face_whose_corners_see_it_where_it_is(patches):
     """log and place differ by a turn and a shift: seen from two corners, points are as far apart."""
     bank = jax.tree.map(lambda a: np.asarray(a)[::20], patches.bank)
@@ -65,6 +66,7 @@ def test_every_point_lies_in_a_face_whose_corners_see_it_where_it_is(patches):
     assert np.ptp(apart) > 1
 
 
+@pytest.mark.slow
 def test_a_ring_is_seen_turned_from_its_place_and_never_mirrored(patches):
     """Frames are right-handed: one turn leads from all logs of a ring to the steps between its places."""
     logs, places = (np.asarray(a)[::20] for a in (patches.bank.logs, patches.bank.places))
@@ -76,6 +78,7 @@ def test_a_ring_is_seen_turned_from_its_place_and_never_mirrored(patches):
     assert np.abs(np.diff(places) - turn * np.diff(logs).conj()).max() > 1
 
 
+@pytest.mark.slow
 def test_queries_are_uniform_over_the_faces_of_a_patch(patches):
     """Barycentrics of uniform points have the mean 1/3 and the variance 1/18."""
     weights = np.asarray(patches.bank.queries.barycentrics).reshape(-1, 3)
@@ -83,12 +86,14 @@ def test_queries_are_uniform_over_the_faces_of_a_patch(patches):
     np.testing.assert_allclose(weights.var(0), 1 / 18, atol=0.003)
 
 
+@pytest.mark.slow
 def test_patches_side_by_side_do_not_share_vertices(patches):
     batch = patches(0)
     owner = np.asarray(batch.queries.vertices) // PATCH_VERTICES
     np.testing.assert_array_equal(owner, np.repeat(np.arange(8), PATCH_VERTICES * 2)[:, None].repeat(3, 1))
 
 
+@pytest.mark.slow
 def test_rings_and_queries_read_the_same_picture(patches):
     """Where a query lies near a ring's sample, the smooth pictures give both nearly the same colour."""
     step = patches(1)
@@ -110,6 +115,7 @@ def test_colours_are_those_under_the_point():
     np.testing.assert_allclose(colors[0, :, 0] * 255, x[0], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_lay_scales_turns_and_stretches_about_the_middle():
     """On the same ramp, colours tell x: 127.5 at the middle."""
     ramp = np.zeros((1, 256, 256, 3), np.uint8)
@@ -130,14 +136,16 @@ def test_a_lay_scales_turns_and_stretches_about_the_middle():
     np.testing.assert_allclose(turned, 127.5 + np.array([0, 2, 0, -4 / 3]), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_lay_reaches_from_one_border_of_its_image_to_the_other():
     ramp = np.zeros((1, 256, 256, 3), np.uint8)
     ramp[..., 0], ramp[..., 1] = np.arange(256), np.arange(256)[:, None]
-    placement = plain(3, corner=jnp.array([[0, 0], [1, 0], [0.25, 1]]))
-    read = patching.colors_at(jnp.asarray(ramp), placement, jnp.tile(jnp.array([0, 5, -3j]), (3, 1)))[0]
+    lay = plain(3, corner=jnp.array([[0, 0], [1, 0], [0.25, 1]]))
+    read = patching.colors_at(jnp.asarray(ramp), lay, jnp.tile(jnp.array([0, 5, -3j]), (3, 1)))[0]
     np.testing.assert_allclose(255 * read[:, 0, :2], [[5, 5], [250, 5], [66.25, 250]], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_what_is_painted_anew_is_measured_from_the_mean_of_the_rings():
     """Channels change places; without contrast all has the rings' level, wherever the queries lie."""
     ramp = np.zeros((1, 256, 256, 3), np.uint8)
@@ -152,12 +160,13 @@ def test_what_is_painted_anew_is_measured_from_the_mean_of_the_rings():
     np.testing.assert_allclose(255 * flat[1], 127.5 / 3, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_half_of_the_patches_are_painted_anew_and_within_range():
     picture = np.random.default_rng(4).integers(0, 256, (1, 64, 64, 3)).astype(np.uint8)
-    placement = patching.random_placement(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
+    lay = patching.random_lay(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
     places = jnp.asarray(np.random.default_rng(5).normal(size=(4000, 6)) * (1 + 1j), jnp.complex64)
-    painted = patching.colors_at(jnp.asarray(picture), placement, places)[0]
-    kept = patching.colors_at(jnp.asarray(picture), placement._replace(painted=jnp.zeros(4000)), places)[0]
+    painted = patching.colors_at(jnp.asarray(picture), lay, places)[0]
+    kept = patching.colors_at(jnp.asarray(picture), lay._replace(painted=jnp.zeros(4000)), places)[0]
     share = np.mean(np.all(painted == kept, axis=(1, 2)))
     assert 0.45 < share < 0.55 and painted.min() == 0 and painted.max() == 1
 
@@ -165,11 +174,3 @@ def test_half_of_the_patches_are_painted_anew_and_within_range():
 def test_a_folder_without_images_is_refused(tmp_path):
     with pytest.raises(ValueError, match="holds no images"):
         ImagePatches(Images(folder=str(tmp_path)), FLVAE(), 4)
-
-
-def test_printed_pages_have_flat_areas_hard_edges_and_both_ends_of_the_scale():
-    pages = printed_pages(8, 128, 0)
-    np.testing.assert_array_equal(pages[:2], printed_pages(2, 128, 0))
-    steps = np.abs(np.diff(pages.astype(int), axis=2)).max(-1)
-    assert (steps == 0).mean() > 0.6 and (steps > 60).mean() > 0.01
-    assert pages.min() < 30 and pages.max() > 225 and not np.array_equal(pages[0], pages[1])

@@ -24,17 +24,18 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from flx.commands.reconstruct import Reconstruct, reconstruct
+from flx.geometry.repair import topology_counts
+
 sys.path.append(str(Path(__file__).parents[1]))  # a script finds what lies beside it, not helpers
-from helpers.oracles import distances, min_angles, points_on
+from helpers.oracles import coincidence, distances, min_angles, points_on
 from helpers.surfaces import icosphere, moebius, sleeve, soup, square_with_hole, three_touching_boxes
 
 from flx.assets.read import read_asset
 from flx.commands.doctor import examine
-from flx.commands.reconstruct import Reconstruct, reconstruct
 from flx.config import FLDMExperiment
 from flx.evaluation.timings import peak_bytes
-from flx.geometry.remesh.remesh import coincidence, remesh
-from flx.geometry.repair import topology_counts
+from flx.geometry.remesh.remesh import remesh
 from flx.geometry.tables import mesh_tables
 from flx.types import Triangulation
 

@@ -15,8 +15,6 @@ import signal
 import struct
 import sys
 import time
-import zlib
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -24,22 +22,31 @@ from typing import NamedTuple
 import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1]))  # a script finds what lies beside it, not helpers
-from helpers.files import MTL, OBJ, PLY, Build, document, glb, obj, ply_binary, png
+from helpers.files import (
+    MTL,
+    OBJ,
+    PLY,
+    Build,
+    at,
+    beside,
+    buffer_uri,
+    document,
+    floats,
+    glb,
+    gltf,
+    image_uri,
+    obj,
+    ply,
+    ply_binary,
+    png,
+    png_bomb,
+    raw,
+    set_,
+    special,
+    symlink,
+)
 
 from flx.launch import main
-
-
-def png_bomb(width: int, height: int) -> bytes:
-    """A grey PNG of one colour, made row by row: large inside, small outside."""
-    squeeze, row = zlib.compressobj(9), bytes(width + 1)
-    data = b"".join(squeeze.compress(row) for _ in range(height)) + squeeze.flush()
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-
-    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-
 
 # ------------------------------------------------------------------------------------------------- cases
 
@@ -50,86 +57,9 @@ class Case(NamedTuple):
     match: str  # what its line says
 
 
-def ply(content: str | bytes) -> Build:
-    return raw("a.ply", content)
-
-
-def raw(name: str, content: str | bytes) -> Build:
-    def build(folder: Path) -> Path:
-        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
-        return folder / name
-
-    return build
-
-
-def gltf(change: Callable[[dict], object], binary: Callable[[bytearray], object] = len) -> Build:
-    """The GLB with its document (and its bytes) changed in place."""
-
-    def build(folder: Path) -> Path:
-        changed, content = document()
-        content = bytearray(content)
-        change(changed), binary(content)
-        (folder / "a.glb").write_bytes(glb(changed, bytes(content)))
-        return folder / "a.glb"
-
-    return build
-
-
-def image_uri(uri: str) -> Build:
-    return gltf(lambda d: d.update(images=[{"uri": uri}]))
-
-
-def buffer_uri(uri: str) -> Build:
-    return gltf(lambda d: d.update(buffers=[d["buffers"][0] | {"uri": uri}]))
-
-
-def symlink(build: Build, name: str, target: str) -> Build:
-    def linked(folder: Path) -> Path:
-        path = build(folder)
-        (folder / name).unlink(missing_ok=True)
-        (folder / name).symlink_to(target)
-        return path
-
-    return linked
-
-
-def special(name: str, make: Callable[[Path], object]) -> Build:
-    def build(folder: Path) -> Path:
-        make(folder / name)
-        return folder / name
-
-    return build
-
-
-def beside(build: Build, name: str, make: Callable[[Path], object]) -> Build:
-    """As `build`, with something else in the place of one of its files."""
-
-    def changed(folder: Path) -> Path:
-        path = build(folder)
-        (folder / name).unlink(missing_ok=True)
-        make(folder / name)
-        return path
-
-    return changed
-
-
 def sparse_file(path: Path) -> None:
     with open(path, "wb") as file:
         file.truncate(20 << 30)
-
-
-def set_(d: dict, *keys: str | int, to: object) -> None:
-    for key in keys[:-1]:
-        d = d[key]
-    d[keys[-1]] = to
-
-
-def at(*keys: str | int, to: object) -> Build:
-    return gltf(lambda d: set_(d, *keys, to=to))
-
-
-def floats(offset: int, *values: float) -> Callable[[bytearray], None]:
-    return lambda content: struct.pack_into(f"<{len(values)}f", content, offset, *values)
 
 
 def shown_often(d: dict) -> None:

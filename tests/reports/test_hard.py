@@ -5,9 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from reports.hard import HEADER, Row, cases, line
 
 
+@pytest.mark.slow
 def test_two_rows_of_the_table_are_measured(tmp_path):
     """A Möbius strip is cut across; crumbs stay, each a component with its boundary."""
     script, out = Path(__file__).parent / "hard.py", tmp_path / "table.md"

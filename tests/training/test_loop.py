@@ -12,31 +12,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from helpers.regression import INIT, batches, config, loss_fn
 
 from flx.config import Train
 from flx.training.checkpoint import Checkpoints
 from flx.training.loop import TrainState, initial_state, make_step, restore, train
-from flx.training.optimizer import ADAM_BESIDE_MUON, learning_rate, make_optimizer
 from flx.training.run import Run
-
-config = Train(steps=12, batch=4, learning_rate=0.1, checkpoint_every=5, log_every=1, ema=0.9, seed=3)
-INIT = {"w": jnp.linspace(-1.0, 1.0, 6).reshape(3, 2), "b": jnp.zeros(2)}
-
-
-def loss_fn(params: Any, batch: Any, key: Any) -> Any:
-    """A noisy regression: it hangs on parameters, batch and key alike."""
-    x = batch["x"] + 0.1 * jax.random.normal(key, batch["x"].shape)
-    error = jnp.tanh(x @ params["w"] + params["b"]) - batch["y"]
-    return jnp.mean(error**2), {"worst": jnp.max(jnp.abs(error))}
-
-
-def batches(step: int) -> Any:
-    rng = np.random.default_rng([7, step])
-    return {"x": rng.standard_normal((4, 3), np.float32), "y": rng.random((4, 2), np.float32)}
 
 
 def rows_of(run: Run) -> list[dict[str, float]]:
@@ -109,12 +91,13 @@ def test_a_killed_run_is_the_uninterrupted_one(tmp_path, uninterrupted):
     """`kill -9` a training process after its second checkpoint, then train on in another."""
     run = Run(tmp_path / "killed")
     slow = (
-        "import sys, time; from pathlib import Path; import test_loop as t\n"
-        "def slow(n): time.sleep(0.0 if n < 11 else 60); return t.batches(n)\n"
-        "t.train(t.Run(Path(sys.argv[1])), t.config, t.INIT, t.loss_fn, slow)"
+        "import sys, time; from pathlib import Path; from helpers import regression as r\n"
+        "from flx.training.loop import train; from flx.training.run import Run\n"
+        "def slow(n): time.sleep(0.0 if n < 11 else 60); return r.batches(n)\n"
+        "train(Run(Path(sys.argv[1])), r.config, r.INIT, r.loss_fn, slow)"
     )
     command = [sys.executable, "-c", slow, str(run.folder)]  # -c: modules are looked for where it starts
-    child = subprocess.Popen(command, cwd=Path(__file__).parent, stderr=subprocess.DEVNULL)
+    child = subprocess.Popen(command, cwd=Path(__file__).parents[1], stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
     while not (run.checkpoints / "10").exists():
         assert child.poll() is None and time.monotonic() < deadline
@@ -229,51 +212,6 @@ def test_the_average_is_its_closed_form():
     assert np.abs(np.asarray(state.ema - state.params)).max() > 1e-3
 
 
-@given(st.integers(2, 500), st.integers(0, 400), st.floats(1e-4, 1.0), st.floats(0.0, 1.0))
-def test_the_learning_rate_warms_up_and_follows_a_cosine(steps, warmup, peak, share):
-    c = Train(steps=steps, warmup=warmup, learning_rate=peak, final_learning_rate=share * peak)
-    rates = np.array(jax.vmap(lambda n: learning_rate(c, n))(jnp.arange(steps)))
-    warmup = min(warmup, steps // 2)  # a short run of a long run's config still gets to its rate
-    np.testing.assert_allclose(rates[:warmup], peak * np.arange(warmup) / max(warmup, 1), rtol=1e-5)
-    np.testing.assert_allclose(rates[warmup], peak, rtol=1e-5)
-    n = steps - warmup
-    if n > 1:
-        oracle = optax.cosine_decay_schedule(peak, n - 1, alpha=share)
-        expected = jax.vmap(oracle)(jnp.arange(n))
-        np.testing.assert_allclose(rates[warmup:], expected, rtol=1e-4, atol=1e-6 * peak)
-        np.testing.assert_allclose(rates[-1], share * peak, rtol=1e-5, atol=1e-6 * peak)
-
-
-def test_adam_takes_the_scheduled_rate_and_clip_bounds_the_gradient():
-    """The first step of Adam is the learning rate along the gradient's signs, whatever its length."""
-    c = Train(steps=10, learning_rate=0.02, clip=1e-3)
-    gradient = {"w": jnp.array([300.0, -400.0])}
-    optimizer = make_optimizer(c)
-    updates, moments = optimizer.update(gradient, optimizer.init(gradient), gradient)
-    np.testing.assert_allclose(updates["w"], [-0.02, 0.02], rtol=1e-3)
-    first_moment = optax.tree_utils.tree_get(moments, "mu")["w"]
-    np.testing.assert_allclose(first_moment, 0.1 * 1e-3 * np.array([0.6, -0.8]), rtol=1e-5)
-
-
-def test_muon_turns_matrices_by_the_rate_and_leaves_the_rest_to_adam():
-    """Every singular value of a kernel's update is near the rate, whatever the gradient's; signs elsewhere.
-
-    The iteration ends with singular values from about 0.7 to 1.2 (Jordan et al.). The stack and (re, im) are
-    matrices of their own: [2, 6, 8] is two of them.
-    """
-    rng = np.random.default_rng(0)
-    gradient = {"dense": {"kernel": rng.normal(size=(2, 6, 8)), "bias": rng.normal(size=8)}}
-    gradient["dense"]["kernel"][0] *= 1e3
-    gradient = jax.tree.map(jnp.float32, gradient)
-    optimizer = make_optimizer(Train(steps=10, learning_rate=0.1, optimizer="muon"))
-    updates = optimizer.update(gradient, optimizer.init(gradient), gradient)[0]["dense"]
-    scaled = np.linalg.svd(updates["kernel"], compute_uv=False) / (0.1 * np.sqrt(8 / 6))
-    assert np.all((scaled > 0.6) & (scaled < 1.3))
-    along = -updates["bias"] / np.sign(gradient["dense"]["bias"])
-    np.testing.assert_allclose(along, along[0], rtol=1e-3)  # Adam's first step knows the signs alone
-    assert 1 < along[0] / (0.1 * ADAM_BESIDE_MUON) < 2  # longer than the rate by Nesterov's momentum
-
-
 def test_steps_draw_from_their_own_key():
     """The key of step n is fold_in(seed, n), for any way to reach step n."""
     step = make_step(config, lambda p, b, key: (jnp.sum(p**2), {"u": jax.random.uniform(key)}))
@@ -298,11 +236,3 @@ def test_steps_draw_from_their_own_key():
 def test_a_configuration_that_cannot_train_is_refused(tmp_path, change, told):
     with pytest.raises(ValueError, match=told):
         train(Run(tmp_path / "no"), Train(**{**vars(config), **change}), INIT, loss_fn, batches)
-
-
-def test_without_a_terminal_progress_is_told_in_lines(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("flx.training.log._SILENCE", 0.0)
-    train(Run(tmp_path / "lines"), config, INIT, loss_fn, batches)
-    lines = capsys.readouterr().err.splitlines()
-    assert "compiled the train step in" in lines[0]
-    assert len(lines) == 13 and lines[-1].startswith("step 12/12, loss ")

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int
-from scipy.spatial import KDTree
 
 from flx.geometry.arrays import area_normals, length_of
 from flx.geometry.remesh.finishing import finish
@@ -110,9 +109,3 @@ def _split_longest(mesh, most, rng):
     ids = np.flatnonzero(lengths >= longest)
     ids = ids[np.argsort(-lengths[ids], kind="stable")[:most]]
     return split_edges(mesh, topo, mark(len(lengths), ids), rng)
-
-
-def coincidence(a: Triangulation, b: Triangulation) -> float:
-    """The share of the vertices of b that lie within 0.1 mean edges of a vertex of a; 0.036 by chance."""
-    radius = 0.1 * edge_lengths(b.vertices, topology(b.faces, len(b.vertices))).mean()
-    return float((KDTree(a.vertices).query(b.vertices)[0] < radius).mean())

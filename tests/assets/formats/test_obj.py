@@ -1,20 +1,14 @@
-"""Laws of OBJ and PLY: the same surface written in different ways is read as the same; trimesh agrees."""
-
-import struct
-from pathlib import Path
+"""Laws of OBJ: the same surface written in different ways is read as the same; trimesh agrees."""
 
 import numpy as np
 import pytest
 import trimesh
-from helpers.files import OBJ, PLY, obj, ply_binary, png
+from helpers.files import OBJ
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.assets.formats.obj import fans, parse_obj
 from flx.assets.formats.ply import parse_ply
-from flx.assets.read import read_asset
-
-HEAD = PLY[: PLY.index("end_header")]
 
 
 def corners(parts) -> np.ndarray:
@@ -110,56 +104,3 @@ def test_real_scans_are_what_trimesh_reads(tmp_path):
         mesh.export(path)
         part = parse(path.read_text() if suffix == ".obj" else path.read_bytes(), "a").parts[0]
         assert np.allclose(part.positions[part.faces], mesh.triangles, atol=1e-6)
-
-
-def test_ascii_and_both_byte_orders_are_one_file():
-    big = HEAD.replace("ascii", "binary_big_endian").encode() + b"end_header\n"
-    rows = [line.split() for line in PLY[PLY.index("end_header") :].splitlines()[1:]]
-    big += b"".join(struct.pack(">fffBBB", *map(float, r[:3]), *map(int, r[3:])) for r in rows[:4])
-    big += b"".join(struct.pack(">Biii", *map(int, r)) for r in rows[4:])
-    wanted = corners(parse_ply(PLY.encode(), "a").parts)
-    assert wanted.shape == (4, 3, 6)
-    for content in (big, ply_binary(), PLY.replace("\n", "\r\n").encode()):
-        assert np.array_equal(corners(parse_ply(content, "a").parts), wanted)
-
-
-@pytest.mark.parametrize("binary", [False, True])
-def test_triangles_and_quadrangles_may_mix_in_a_ply(binary):
-    faces = [(0, 1, 2, 3), (0, 2, 1), (0, 3, 2, 1)]
-    head = HEAD.replace("face 4", "face 3") + "end_header\n"
-    points = PLY[PLY.index("end_header") + 11 :].splitlines()[:4]
-    if binary:
-        content = head.replace("ascii", "binary_little_endian").encode()
-        for row in points:
-            x, y, z, r, g, b = row.split()
-            content += struct.pack("<fffBBB", float(x), float(y), float(z), int(r), int(g), int(b))
-        content += b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in faces)
-    else:
-        lines = [" ".join(map(str, (len(face), *face))) for face in faces]
-        content = (head + "\n".join(points + lines) + "\n").encode()
-    found = parse_ply(content, "a")
-    assert found.polygons == 2
-    assert found.parts[0].faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2], [0, 2, 1]]
-
-
-def test_a_ply_of_corner_coordinates_and_two_textures(tmp_path: Path):
-    for name in ("a.png", "b.png"):
-        (tmp_path / name).write_bytes(png())
-    head = HEAD.replace(
-        "element vertex", "comment TextureFile a.png\ncomment TextureFile b.png\nelement vertex"
-    )
-    head += "property list uchar float texcoord\nproperty int texnumber\nend_header\n"
-    rows = PLY[PLY.index("end_header") + 11 :].splitlines()
-    body = [*rows[:4], *(f"{row} 6 0 0 1 0 {k / 4} 1 {k % 2}" for k, row in enumerate(rows[4:]))]
-    (tmp_path / "a.ply").write_text(head + "\n".join(body) + "\n")
-    asset = read_asset(tmp_path / "a.ply")
-    assert len(asset.mesh.textures) == 2 and asset.mesh.face_textures.tolist() == [0, 0, 1, 1]
-    assert sorted(asset.mesh.corner_uvs[:, 2, 0].tolist()) == [0, 0.25, 0.5, 0.75]
-    assert np.allclose(asset.mesh.corner_uvs[:, 0], [0, 1]) and np.allclose(asset.mesh.corner_uvs[:, 2, 1], 0)
-    assert asset.report.vertices == 4 and asset.report.boundary_edges == 0
-
-
-def test_a_texture_that_no_corner_knows_is_refused(tmp_path):
-    path = obj(lambda text: text.replace("f 1/1 3/2 2/3", "f 1 3 2"))(tmp_path)
-    with pytest.raises(ValueError, match="no texture coordinates"):
-        read_asset(path)

@@ -6,25 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.cube import CUBE, MTL, changed, colored, files, new_images, same_bits, saved
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image
 
 from flx.assets.asset import Painting
-from flx.assets.conversion import left_behind
-from flx.assets.formats import glb
-from flx.assets.formats.files import found_beside
-from flx.assets.formats.gltf import Gltf, read_gltf
-from flx.assets.formats.mtl import files_named, parse_mtl, renamed, repainted
 from flx.assets.formats.obj_source import ObjSource, write_copy
 from flx.assets.preflight import check_output
 from flx.assets.read import read_asset
 from flx.assets.unwrap import prepared_for
 from flx.assets.write import check_room, write
-from flx.commands.doctor import describe
-from flx.config import Surface
-from flx.training.run import Run
-from flx.training.run_asset import keep
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR"])
@@ -170,75 +159,6 @@ def test_an_absolute_path_into_the_folder_becomes_relative_for_the_file_goes_alo
         assert read_asset(folder.parent / "out" / "cube.obj").digest == asset.digest
 
 
-FOREIGN = (
-    "C:\\Users\\Anna\\tex\\Grain.png",
-    "/home/anna/grain.png",
-    "\\\\server\\a\\grain.PNG",
-    "GRAIN.png",
-    ".\\GRAIN.png",
-)
-
-
-@pytest.mark.parametrize("name", FOREIGN)
-@pytest.mark.parametrize("format", ["obj", "ply", "gltf"])
-def test_an_image_named_by_another_machine_or_otherwise_in_capitals_is_found_and_told(tmp_path, name, format):
-    """The file of that name beside the mesh, and what comes out names it as it is called."""
-    path = saved(tmp_path / "in", mtl=f"newmtl wood\nmap_Kd {name}\nmap_Bump {name}\n")
-    Image.new("RGB", (8, 4), (10, 20, 30)).save(path.parent / "grain.png")
-    if (path.parent / "GRAIN.png").exists() and "GRAIN" in name:
-        pytest.skip("this disk does not tell capitals apart: the name is right as it is")
-    if format == "ply":
-        path = path.with_suffix(".ply")
-        head = f"ply\nformat ascii 1.0\ncomment TextureFile {name}\nelement vertex 3\n"
-        head += "".join(f"property float {k}\n" for k in "xyzst")
-        head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-        path.write_text(head + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n")
-    elif format == "gltf":
-        asset = read_asset(path)
-        document, views = glb.build_gltf("a", asset.parts, asset.paints, {"base_color": {0: b""}})[:2]
-        document["images"][0] = {"uri": name}
-        path = path.with_suffix(".glb")
-        path.write_bytes(glb.glb_bytes(Gltf(document, views)))
-    asset = read_asset(path)
-    assert (asset.mesh.textures[0] == [10, 20, 30]).all()
-    assert asset.report.found_images == (f"'{name}' → grain.png",) and not asset.report.missing_images
-    assert f"'{name}' → grain.png" in describe(asset.report)
-    run = Run(tmp_path / "run")
-    assert keep(asset, run, Surface(path=str(path))).digest == asset.digest
-    if format == "obj":
-        (tmp_path / "out").mkdir()
-        write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out" / "new.obj")
-        wanted = b"newmtl wood\nmap_Kd new_0.png\nmap_Bump grain.png\n"
-        assert (tmp_path / "out" / "new.mtl").read_bytes() == wanted
-        assert files(tmp_path / "out") == {"new.obj", "new.mtl", "new_0.png", "grain.png"}
-        again = read_asset(tmp_path / "out" / "new.obj")
-        assert again.digest == asset.digest and again.report.found_images == ()
-
-
-def test_a_folder_may_be_in_capitals_too_but_two_files_are_one_too_many(tmp_path):
-    path = saved(tmp_path, mtl=MTL.replace("textures/wood grain.png", "Textures\\Wood Grain.PNG"))
-    asset = read_asset(path)
-    assert asset.textures[0].name == "textures/wood grain.png"
-    if (tmp_path / "textures" / "WOOD grain.png").exists():
-        pytest.skip("this disk does not tell capitals apart: there cannot be two")
-    (tmp_path / "textures" / "WOOD grain.png").write_bytes(b"")
-    with pytest.raises(ValueError, match=r"'Textures\\Wood Grain\.PNG' does not exist; put it there, or"):
-        read_asset(path)
-
-
-@pytest.mark.parametrize(
-    "name", ["OUT/secret.png", "../secret.png", "in/../../secret.png", "OUT/../secret.png"]
-)
-def test_no_folder_outside_is_even_listed(tmp_path, monkeypatch, name):
-    (tmp_path / "secret.png").write_bytes(b"")
-    (tmp_path / "mesh" / "in").mkdir(parents=True)
-    (tmp_path / "mesh" / "out").symlink_to("..")
-    listed, listdir = [], os.listdir
-    monkeypatch.setattr(os, "listdir", lambda path: listed.append(Path(path).resolve()) or listdir(path))
-    assert found_beside(tmp_path / "mesh", name) == ""
-    assert listed and all(path.is_relative_to((tmp_path / "mesh").resolve()) for path in listed)
-
-
 def test_a_given_texture_is_advised_only_where_it_takes_the_place_of_the_one_image(tmp_path):
     mtl = "newmtl wood\nmap_Kd D:\\a b\\no.png\nnewmtl bone white\nmap_Kd {}\n"
     path = saved(tmp_path, mtl=mtl.format("textures/wood grain.png"))
@@ -285,68 +205,7 @@ def test_a_given_texture_is_written_for_materials_without_one(tmp_path):
         assert again.report.faces_read == asset.report.faces_read and again.report.polygons == 5
 
 
-def test_each_of_several_libraries_stays_a_file_of_its_own(tmp_path):
-    path = saved(tmp_path / "in", CUBE.replace("my cube.mtl", "a.mtl b.MTL\nmtllib gone.mtl"))
-    (path.parent / "a.mtl").write_text("newmtl wood\nmap_Kd textures/wood grain.png\n")
-    (path.parent / "b.MTL").write_text("Kd 1 0 0\nnewmtl bone white\nKd 0.2 0.4 0.6\n")
-    asset = read_asset(path)
-    (tmp_path / "out").mkdir()
-    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out" / "new.obj")
-    assert changed(path, tmp_path / "out" / "new.obj") == [
-        (b"mtllib a.mtl b.MTL\n", b"mtllib new.mtl new_1.mtl\n")
-    ]
-    assert (tmp_path / "out" / "new_1.mtl").read_bytes() == (path.parent / "b.MTL").read_bytes()
-    assert read_asset(tmp_path / "out" / "new.obj").digest == asset.digest
-
-
 # --- options of map_Kd
-
-
-def test_scale_and_offset_of_an_image_move_the_texture_coordinates(tmp_path):
-    one = MTL.replace("-clamp on -s 1 1 1", "-o 0.25 0.5 -s 0.5 2 -mm 0 1")
-    moved = read_asset(saved(tmp_path / "a", mtl=one))
-    plain = read_asset(saved(tmp_path / "b"))
-    up = lambda asset: asset.mesh.corner_uvs[asset.mesh.face_textures == 0] * [1, -1] + [0, 1]  # noqa: E731
-    np.testing.assert_allclose(up(moved), up(plain) * [0.5, 2] + [0.25, 0.5], atol=1e-15)
-    flat = plain.mesh.face_textures == 1
-    np.testing.assert_array_equal(moved.mesh.corner_uvs[flat], plain.mesh.corner_uvs[flat])
-    assert moved.report.ignored_options == ("wood: -mm 0 1",)
-    (tmp_path / "out").mkdir()
-    write(moved, Painting({"base_color": moved.mesh.textures}), tmp_path / "out" / "new.obj")
-    assert read_asset(tmp_path / "out" / "new.obj").digest == moved.digest  # once, not twice
-
-
-words = st.text("abcXYZ019_-.#/\\ \t", max_size=12)
-mtl_lines = st.one_of(
-    st.sampled_from(["newmtl a", "newmtl b", "newmtl  b\t", " NEWMTL a", "Kd 0.1 0.2 0.3", "", "# newmtl a"]),
-    st.builds("map_Kd {}".format, words),
-    st.builds("map_Kd -s 1 2 -clamp on {}".format, words),
-    st.builds("{} {}".format, st.sampled_from(["norm", "map_Ks", "bump -bm 1", "illum", "map_aat"]), words),
-)
-libraries = st.builds(
-    lambda lines, end, last: (end.join(lines) + end * last).encode(),
-    st.lists(mtl_lines, max_size=8),
-    st.sampled_from(["\n", "\r\n", "\r"]),
-    st.booleans(),
-)
-
-
-@given(libraries)
-def test_a_library_says_what_it_is_told_and_else_what_it_said(content):
-    """Of map_Kd alone, and of it alone where it was asked; the same names in give the same bytes out."""
-    old, new = parse_mtl(content), parse_mtl(repainted(content, {"a": "my new.png"}))
-    assert old.keys() == new.keys()
-    for name, mapped in new.items():
-        wanted = old[name].material._replace(image="my new.png") if name == "a" else old[name].material
-        assert mapped.material == wanted and (mapped.scale, mapped.options) == (
-            old[name].scale,
-            old[name].options,
-        )
-    names = {name: f"{name}x" for name in files_named(content)}
-    away = renamed(content, names)
-    assert files_named(away) == list(names.values())
-    assert renamed(away, {new: old for old, new in names.items()}) == content
-    assert repainted(content, {}) == renamed(content, {n: n for n in names}) == content
 
 
 # --- vertex colours
@@ -405,74 +264,6 @@ def test_faces_that_repair_drops_do_not_darken_what_lies_under_them(tmp_path):
 
 
 # --- other formats
-
-
-@pytest.mark.parametrize(
-    "says, factor, mode",
-    [
-        ("", None, "OPAQUE"),  # a picture's alpha that no material speaks of
-        ("map_d {}", None, "BLEND"),
-        ("map_d other.png", None, "OPAQUE"),
-        ("d 1\nTr 1", None, "OPAQUE"),  # d is the specification's
-        ("Tr 0.25", 0.75, "BLEND"),
-        ("d -halo 0.5\nmap_d {}", 0.5, "BLEND"),
-        ("d 7", None, "OPAQUE"),
-        ("d nan", None, "OPAQUE"),
-    ],
-)
-@pytest.mark.parametrize("alpha", [77, 255, 0])
-def test_a_glb_is_as_opaque_as_the_materials_say(tmp_path, says, factor, mode, alpha):
-    """Alpha of nothing between is a mask; of 255 it is none."""
-    name = "textures/wood grain.png"
-    path = saved(tmp_path, mtl=f"newmtl wood\nmap_Kd {name}\n{says.format(name)}\nnewmtl bone white\nd 0.5")
-    image = Image.new("RGBA", (8, 4), (10, 20, 30, alpha))
-    image.save(tmp_path / name)
-    asset = read_asset(path)
-    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
-    wood, bone = read_gltf(tmp_path / "out.glb").document["materials"]  # none for the faces there are not
-    wanted = {77: mode, 255: "BLEND" if factor else "OPAQUE", 0: "MASK" if mode == "BLEND" else mode}[alpha]
-    assert wood.get("alphaMode", "OPAQUE") == ("BLEND" if factor else wanted)
-    assert wood["pbrMetallicRoughness"].get("baseColorFactor") == (factor and [1, 1, 1, factor])
-    assert bone["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 0.5] and bone["alphaMode"] == "BLEND"
-
-
-@pytest.mark.parametrize("more, name", [("", "cube"), ("\no second\n", "mesh"), ("\no cube\n", "cube")])
-def test_a_glb_is_called_like_the_one_object_of_an_obj(tmp_path, more, name):
-    path = saved(tmp_path, CUBE + more).rename(tmp_path / "mesh.obj")
-    asset = read_asset(path)
-    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
-    document = read_gltf(tmp_path / "out.glb").document
-    assert document["nodes"][0]["name"] == document["meshes"][0]["name"] == name
-
-
-def test_what_stays_behind_in_another_format_is_said_in_one_line(tmp_path, capsys):
-    asset = read_asset(saved(tmp_path / "in", mtl=MTL + "Pm 1\nd 0.5\n"))
-    told = "5 polygons, textures\\bump.png, textures/normal.tga, textures/wood grain.png, gone.png, "
-    told += "textures/unused.jpg, Kd, Ns, illum, Pm, wood: -clamp on, 2 groups, "
-    told += "1 smoothing group, lines and points"
-    check_output(asset, "glb", [tmp_path / "out.glb"])
-    said = capsys.readouterr().err
-    assert said == f"{asset.path}: {told} stay behind; --format obj keeps all\n"
-    check_output(asset, "obj", [tmp_path / "out.obj"])
-    assert capsys.readouterr().err == f"{asset.path}: not there, but named in what is written: gone.png\n"
-    assert left_behind(asset, "obj") == ""
-    write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
-    check_output(read_asset(tmp_path / "out.glb"), "obj", [tmp_path / "out.obj"])
-    assert capsys.readouterr().err == ""  # a file of flx's own: nothing is lost twice
-    with pytest.raises(ValueError, match="PLY"):
-        check_output(asset, "ply", [tmp_path / "out.ply"])
-
-
-def test_a_map_that_became_the_alpha_of_the_image_has_not_stayed_behind(tmp_path):
-    mtl = "newmtl wood\nmap_Kd textures/wood grain.png\nmap_d textures/wood grain.png\n"
-    asset = read_asset(saved(tmp_path, mtl=mtl))
-    assert left_behind(asset, "glb") == "5 polygons, 2 groups, 1 smoothing group, lines and points"
-
-
-def test_of_a_thousand_maps_a_dozen_are_named(tmp_path):
-    asset = read_asset(saved(tmp_path, mtl=MTL + "".join(f"map_Ks {k}.png\n" for k in range(1000))))
-    said = left_behind(asset, "glb")
-    assert ", 993 more, Kd" in said and len(said) < 400
 
 
 def test_a_byte_order_mark_is_no_part_of_the_first_word(tmp_path):

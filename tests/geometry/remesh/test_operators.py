@@ -1,32 +1,21 @@
-"""Laws of the steps of remeshing: where points land, what is collapsed, flipped, measured and widened."""
-
-from itertools import pairwise
+"""Laws of collapses and flips: what is done, what is refused, what is never asked twice."""
 
 import igl
 import numpy as np
 import pytest
 import trimesh
-from helpers.oracles import assert_sound, mean_edge
-from helpers.surfaces import box, bumpy, icosphere, random_sphere, rough, square_grid, torus
-from hypothesis import assume, given, settings
+from helpers.oracles import assert_sound, mean_edge, pairs_of
+from helpers.surfaces import box, icosphere, rough, square_grid, torus
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import Delaunay, KDTree
+from scipy.spatial import Delaunay
 
-from flx.geometry.arrays import area_normals, length_of
-from flx.geometry.remesh import finishing
-from flx.geometry.remesh.deviation import FaceQuality, MeasuredMesh, distances_to_mesh, measure_mesh
 from flx.geometry.remesh.features import features
-from flx.geometry.remesh.finishing import SHARP_COSINE, widen_angles
-from flx.geometry.remesh.operators import collapse_edges, disjoint, flip_edges
+from flx.geometry.remesh.operators import collapse_edges, flip_edges
 from flx.geometry.remesh.planar import planar
-from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
-from flx.geometry.remesh.stars import independent, sharpest_cosines
 from flx.geometry.topology import (
-    all_of,
-    any_of,
     boundary_loops,
     edge_lengths,
-    find_edges,
     has_edge,
     invariants,
     mark,
@@ -35,152 +24,12 @@ from flx.geometry.topology import (
 from flx.types import Triangulation
 
 seeds = st.integers(0, 10**6)
-UP = np.array([0.0, 0.0, 1.0])
-
-
-def pairs_of(mesh: Triangulation) -> np.ndarray:
-    return topology(mesh.faces, len(mesh.vertices)).edges
 
 
 # --- edges and groups
 
 
-@given(seeds, st.integers(4, 30))
-def test_edges_are_found_by_their_ends_either_way_round(seed, count):
-    rng = np.random.default_rng(seed)
-    faces = random_sphere(count, seed).faces[: rng.integers(1, 2 * count - 4)]
-    topo = topology(faces, count)
-    joined = {frozenset(side) for face in faces.tolist() for side in pairwise([*face, face[0]])}
-    assert len(topo.edges) == len(joined)
-    a, b = rng.integers(0, count, (2, 200))
-    expected = [frozenset(ends) in joined for ends in zip(a.tolist(), b.tolist(), strict=True)]
-    np.testing.assert_array_equal(has_edge(topo, count, a, b), expected)
-    for ends in (topo.edges, topo.edges[:, ::-1]):
-        np.testing.assert_array_equal(find_edges(topo, count, *ends.T), np.arange(len(topo.edges)))
-
-
-@given(seeds, st.integers(1, 20), st.integers(0, 12), st.integers(1, 4))
-def test_a_group_has_any_or_all_of_its_members_marked(seed, count, groups, width):
-    rng = np.random.default_rng(seed)
-    members = rng.integers(0, count, (groups, width))
-    marked = mark(count, rng.integers(0, count, rng.integers(0, count + 1)))
-    np.testing.assert_array_equal(any_of(marked, members), marked[members].any(1))
-    np.testing.assert_array_equal(all_of(marked, members), marked[members].all(1))
-
-
-@given(seeds)
-def test_groups_taken_together_touch_nowhere_and_the_first_is_among_them(seed):
-    rng = np.random.default_rng(seed)
-    faces = random_sphere(40, seed).faces
-    priority = rng.random(len(faces))
-    won = disjoint(faces, 40, priority)
-    assert len(np.unique(faces[won])) == 3 * len(won) and priority.argmin() in won
-    edges, asked = topology(faces, 40).edges, rng.permutation(40)[:25]
-    rank = rng.permutation(25)
-    among = mark(40, asked[independent(edges, 40, asked, rank)])
-    assert not all_of(among, edges).any() and among[asked[rank.argmin()]]
-    lower = np.full(40, 25)
-    lower[asked] = rank
-    lost = asked[~among[asked]]  # to a neighbour of lower rank
-    assert all(lower[edges[(edges == v).any(1)]].min() < lower[v] for v in lost)
-
-
 # --- landing on a surface
-
-
-def two_sheets(apart: float, length: float, face_each_other: bool, side: int = 7) -> ReferenceSurface:
-    """Unit squares at heights 0 and `apart`: a wall seen from outside, or a gap seen from within."""
-    points, faces = square_grid(side)
-    turned = faces[:, ::-1]
-    low, high = (faces, turned) if face_each_other else (turned, faces)
-    vertices = np.concatenate([points, points + apart * UP])
-    return ReferenceSurface(vertices, np.ascontiguousarray(np.concatenate([low, high + len(points)])), length)
-
-
-@settings(max_examples=150)
-@given(
-    apart=st.floats(0.02, 3),
-    place=st.floats(0, 1),
-    upwards=st.booleans(),
-    face_each_other=st.booleans(),
-    x=st.floats(0.2, 0.8),
-    y=st.floats(0.2, 0.8),
-)
-def test_a_point_lands_on_the_sheet_that_faces_its_way_within_an_edge(
-    apart, place, upwards, face_each_other, x, y
-):
-    """Even where the other one is nearer; farther off it is not trusted."""
-    length = 0.1
-    apart = apart * length
-    surface = two_sheets(apart, length, face_each_other)
-    points = np.array([[x, y, place * apart]])
-    own = apart if upwards != face_each_other else 0.0
-    off = abs(points[0, 2] - own)
-    assume(abs(off - length) > 1e-6 and abs(place - 0.5) > 1e-6)
-    normals = (1 if upwards else -1) * UP[None]
-    landed, on_own_side = surface.project(points, normals, np.zeros(1, int), np.zeros(1, bool))
-    nearer = off < apart / 2
-    assert on_own_side[0] == (nearer or off < length)
-    height = own if on_own_side[0] else apart - own
-    np.testing.assert_allclose(landed, [[x, y, height]], atol=1e-12)
-
-
-@settings(max_examples=60)
-@given(
-    apart=st.floats(0.02, 0.95),
-    place=st.floats(0, 1),
-    upwards=st.booleans(),
-    face_each_other=st.booleans(),
-    y=st.floats(0, 1),
-    aside=st.floats(-0.5, 0.5),
-)
-def test_a_boundary_point_lands_on_the_boundary_of_its_own_sheet(
-    apart, place, upwards, face_each_other, y, aside
-):
-    length = 0.1
-    surface = two_sheets(apart * length, length, face_each_other)
-    points = np.array([[aside * length, y, place * apart * length]])
-    normals = (1 if upwards else -1) * UP[None]
-    inside = 0.5 * length < y < 1 - 0.5 * length  # nearest to this side of the square
-    assume(inside)
-    landed, on_own_side = surface.project(points, normals, np.ones(1, int), np.ones(1, bool))
-    own = apart * length if upwards != face_each_other else 0.0
-    np.testing.assert_allclose(landed, [[0, y, own]], atol=1e-12)
-    assert on_own_side[0]
-
-
-def test_a_crease_vertex_lands_on_the_crease_and_others_on_faces():
-    cube = box(1.0, 1.0, 1.0)
-    surface = ReferenceSurface(*cube, 0.2)
-    points = np.array([[0.45, 0.47, 0.1], [0.45, 0.47, 0.1], [0.3, 0.47, 0.1]])
-    normals = np.array([[0.0, 1.0, 0.0]] * 3)
-    landed, on_own_side = surface.project(points, normals, np.array([1, 0, 1]), np.zeros(3, bool))
-    expected = [[0.5, 0.5, 0.1], [0.45, 0.5, 0.1], [0.3, 0.5, 0.1]]  # the last is too far from any crease
-    np.testing.assert_allclose(landed, expected, atol=1e-12)
-    assert on_own_side.all()
-
-
-def test_smoothing_stays_on_the_surface_turns_no_face_and_leaves_what_is_pinned():
-    surface, mesh = bumpy(4), rough(0)
-    whole = ReferenceSurface(*surface, mean_edge(mesh))
-    pinned = np.random.default_rng(0).random(162) < 0.3
-    smoothed = smooth(mesh, whole, 2, pinned).vertices
-    np.testing.assert_array_equal(smoothed[pinned], mesh.vertices[pinned])
-    assert whole.distances(smoothed[~pinned]).max() < 1e-9
-    corners = smoothed[mesh.faces]
-    volumes = np.linalg.det(corners)
-    assert volumes.min() > 0 and (smoothed[~pinned] != mesh.vertices[~pinned]).any(1).all()
-
-
-def test_no_smoothing_shrinks_a_face_to_nothing():
-    """Of strewn points: faces keep a tenth of the mean area, or nearly theirs."""
-    for seed in range(3):
-        mesh = planar(150, (1.0, 1.0), np.random.default_rng(seed), 1.0)
-        area = igl.doublearea(*mesh)
-        after = smooth(mesh, ReferenceSurface(*mesh, mean_edge(mesh)), 1)
-        up = area_normals(*after)[:, 2]
-        assert (up >= np.minimum(0.1 * area.mean(), 0.9 * area) - 1e-12).all()
-        assert np.ptp(up) < np.ptp(area)
 
 
 # --- collapses
@@ -383,149 +232,4 @@ def test_no_flip_crosses_a_feature(delaunay):
 # --- how far a mesh is from its surface
 
 
-def lattice(n: int) -> np.ndarray:
-    return np.array([(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]) / n
-
-
-def points_in(vertices: np.ndarray, faces: np.ndarray, n: int) -> np.ndarray:
-    return np.einsum("pk,fkc->fpc", lattice(n), vertices[faces])
-
-
-def measured(
-    mesh: Triangulation, surface: Triangulation, share: float
-) -> tuple[ReferenceSurface, float, MeasuredMesh]:
-    whole = ReferenceSurface(*surface, mean_edge(mesh))
-    gap = share * whole.length
-    return whole, gap, measure_mesh(mesh, whole, gap)
-
-
-@pytest.mark.parametrize(("share", "height"), [(0.2, 0.25), (0.3, 0.3), (0.42, 0.4)])
-def test_faces_are_as_far_from_the_surface_as_their_points(share, height):
-    """Against many points of each: what is measured is one of them, and none is much farther; what is not
-    measured is within the gap."""
-    mesh, surface = bumpy(2, height), bumpy(4, height)
-    whole, gap, fit = measured(mesh, surface, share)
-    dense = points_in(*mesh, 24)
-    apart = whole.distances(dense.reshape(-1, 3)).reshape(dense.shape[:2]).max(1) / gap
-    found = fit.quality.sags
-    asked = found > 0
-    assert asked.sum() > 20 and (~asked).sum() > 20
-    assert (found <= apart + 1e-12).all() and apart[~asked].max() <= 1
-    near = found > 0.7  # where a face is nearly too far off, it is measured closer
-    fine = points_in(mesh.vertices, mesh.faces[near], 6)
-    finer = whole.distances(fine.reshape(-1, 3)).reshape(fine.shape[:2]).max(1) / gap
-    np.testing.assert_allclose(found[near], finer)
-    # No point of a face is farther than this from a point of the lattice, 3 or 6 to a side.
-    sides = np.array(
-        [
-            length_of(mesh.vertices[a] - mesh.vertices[b])
-            for a, b in [mesh.faces[:, [k - 1, k]].T for k in range(3)]
-        ]
-    ).max(0)
-    room = sides / np.where(near, 6, 3) / np.sqrt(3) / gap
-    assert (apart <= found + room)[asked].all()
-    np.testing.assert_array_equal(fit.wide, (found > 1) | np.isin(np.arange(320), fit.hits[fit.gaps > 1]))
-
-
-def test_points_of_the_surface_are_as_far_from_the_mesh_as_from_the_face_they_hit():
-    """Against the closest points of single triangles, by another library."""
-    mesh, surface = bumpy(1, 0.3), bumpy(2, 0.3)
-    _, gap, fit = measured(mesh, surface, 0.1)
-    closest = trimesh.triangles.closest_point(mesh.vertices[mesh.faces[fit.hits]], fit.probes)
-    np.testing.assert_allclose(fit.gaps * gap, length_of(closest - fit.probes), atol=1e-9)
-    some = np.arange(0, len(fit.probes), 11)
-    every = np.repeat(some, 80)  # against all faces
-    closest = trimesh.triangles.closest_point(
-        np.tile(mesh.vertices[mesh.faces], (len(some), 1, 1)), fit.probes[every]
-    )
-    nearest = length_of(closest - fit.probes[every]).reshape(-1, 80).min(1)
-    np.testing.assert_allclose(nearest, fit.gaps[some] * gap, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("mesh", "surface", "share"),
-    [
-        (bumpy(1, 0.3), bumpy(2, 0.3), 0.1),
-        # The corners of the coarse sphere are off by 0.6 of the gap, the middles of its faces by more than 1.
-        (Triangulation(1.06 * icosphere(3).vertices, icosphere(3).faces), icosphere(1), 0.65),
-    ],
-)
-def test_no_wide_gap_goes_unasked(mesh, surface, share):
-    _, gap, fit = measured(mesh, surface, share)
-    dense = points_in(*surface, 9).reshape(-1, 3)
-    missed = dense[distances_to_mesh(dense, *mesh)[0] > 1.15 * gap]
-    assert len(missed) > 100
-    # No point of a face is farther than this from a lattice of 3 points to a side.
-    room = (
-        edge_lengths(surface.vertices, topology(surface.faces, len(surface.vertices))).max() / 3 / np.sqrt(3)
-    )
-    assert KDTree(fit.probes[fit.gaps > 1]).query(missed)[0].max() < room
-
-
-@settings(max_examples=10)
-@given(seeds)
-def test_a_part_that_is_cut_out_and_put_back_changes_nothing(seed):
-    _, gap, fit = measured(bumpy(1, 0.3), bumpy(3, 0.3), 0.1)
-    rng = np.random.default_rng(seed)
-    fit = fit._replace(kind=rng.integers(0, 3, 42))
-    rows = np.flatnonzero(rng.random(80) < 0.4)
-    whole = [a.copy() for a in (*fit.quality, *(x for x in fit if not isinstance(x, FaceQuality)))]
-    part, inside, asked = fit.submesh(rows)
-    np.testing.assert_array_equal(part.vertices[part.faces], fit.vertices[fit.faces[rows]])
-    np.testing.assert_array_equal(part.kind, fit.kind[inside])
-    np.testing.assert_array_equal(asked, np.flatnonzero(np.isin(fit.hits, rows)))
-    np.testing.assert_array_equal(part.wide, fit.wide[rows])
-    gaps, _ = distances_to_mesh(
-        part.probes, part.vertices, part.faces
-    )  # its probes are closest to its own faces
-    np.testing.assert_allclose(gaps / gap, part.gaps, atol=1e-12)
-    fit.vertices[inside], fit.faces[rows] = part.vertices, inside[part.faces]
-    fit.quality.put(rows, part.quality)
-    fit.gaps[asked], fit.hits[asked] = part.gaps, rows[part.hits]
-    for new, old in zip(
-        (*fit.quality, *(x for x in fit if not isinstance(x, FaceQuality))), whole, strict=True
-    ):
-        np.testing.assert_array_equal(new, old)
-
-
 # --- wider angles
-
-
-def worst_at(mesh: Triangulation) -> np.ndarray:
-    """The sharpest corner's cosine in the faces around each vertex."""
-    worst = np.full(len(mesh.vertices), -1.0)
-    np.maximum.at(worst, mesh.faces.ravel(), sharpest_cosines(*mesh).repeat(3))
-    return worst
-
-
-@settings(max_examples=8)
-@given(seeds)
-def test_a_vertex_moves_only_where_its_sharpest_corner_widens(seed):
-    mesh = random_sphere(150, seed)
-    surface = ReferenceSurface(*mesh, mean_edge(mesh))
-    pinned = np.random.default_rng(seed).random(150) < 0.3
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(finishing, "TRIES", 1)
-        patch.setattr(finishing, "MOST_TRIES", 1)
-        after = widen_angles(mesh, pinned, surface, np.random.default_rng(seed))
-    moved = (after.vertices != mesh.vertices).any(1)
-    assert moved.sum() > 3 and not moved[pinned].any()
-    before = worst_at(mesh)
-    assert (worst_at(after) < before)[moved].all() and (before > SHARP_COSINE)[moved].all()
-    assert not all_of(moved, pairs_of(mesh)).any()
-    assert surface.distances(after.vertices).max() < 1e-12
-    np.testing.assert_array_equal(after.faces, mesh.faces)
-
-
-@settings(max_examples=5)
-@given(seeds)
-def test_angles_widen_and_corners_of_the_boundary_stay(seed):
-    mesh = planar(150, (1.0, 1.0), np.random.default_rng(seed), 0.0)
-    after = widen_angles(
-        mesh, np.zeros(150, bool), ReferenceSurface(*mesh, mean_edge(mesh)), np.random.default_rng(seed)
-    )
-    before, sharp = sharpest_cosines(*mesh), sharpest_cosines(*after)
-    assume(before.max() < finishing.NARROW_COSINE)  # corners give way to needles
-    assert sharp.max() <= before.max() and (sharp > SHARP_COSINE).sum() < 0.7 * (before > SHARP_COSINE).sum()
-    np.testing.assert_array_equal(after.vertices[:4], mesh.vertices[:4])
-    assert igl.doublearea(*after).min() > 0 and igl.doublearea(*after).sum() == pytest.approx(2, rel=1e-12)

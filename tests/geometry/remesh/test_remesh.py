@@ -1,4 +1,4 @@
-"""Laws of random triangulations: exact counts, kept topology, vertices on the surface, independent copies."""
+"""Laws of remeshing: exact counts, kept topology, vertices on the surface, independent copies."""
 
 import os
 from itertools import combinations
@@ -11,6 +11,7 @@ import trimesh
 from helpers.oracles import (
     assert_sound,
     boundary_loops,
+    coincidence,
     components,
     distances,
     edge_length,
@@ -21,8 +22,7 @@ from helpers.surfaces import both, box, globe, icosphere, square_with_hole, toru
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flx.geometry.remesh.planar import planar
-from flx.geometry.remesh.remesh import coincidence, remesh
+from flx.geometry.remesh.remesh import remesh
 from flx.types import Triangulation
 
 TWO_SPHERES = both(icosphere(3), icosphere(2), apart=3)
@@ -37,6 +37,7 @@ SURFACES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [500, 1300])
 @pytest.mark.parametrize("name", SURFACES)
 def test_remeshing_hits_the_count_and_keeps_topology_and_place(name, count):
@@ -58,6 +59,7 @@ def test_remeshing_keeps_the_outside_outside():
     assert volume == pytest.approx(0.4, rel=0.01)
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(st.integers(60, 1500), st.integers(0, 2**32 - 1))
 def test_any_count_of_any_seed_is_exact(count, seed):
@@ -67,6 +69,7 @@ def test_any_count_of_any_seed_is_exact(count, seed):
     assert_sound(mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("subdivisions", "count"), [(0, 2000), (5, 500), (3, 642)])
 def test_much_coarser_denser_and_equal_inputs_give_even_and_independent_copies(subdivisions, count):
     surface = icosphere(subdivisions)
@@ -83,6 +86,7 @@ def test_same_seed_same_bits():
     assert a.vertices.tobytes() != c.vertices.tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thickness", [1.0, 0.2])
 def test_creases_of_a_box_are_edges_of_every_copy(thickness):
     mesh = remesh(*box(1.0, 1.0, thickness), 800, seed=2)
@@ -131,38 +135,6 @@ def test_unfit_meshes_and_counts_are_refused_in_one_line():
         assert "\n" not in str(error.value)
 
 
-@given(
-    st.integers(4, 600),
-    st.tuples(st.floats(0.1, 10), st.floats(0.1, 10)),
-    st.floats(0, 1),
-    st.integers(0, 2**32 - 1),
-)
-def test_planar_triangulations_cover_the_rectangle_once(count, size, irregularity, seed):
-    mesh = planar(count, size, np.random.default_rng(seed), irregularity)
-    assert len(mesh.vertices) == count and len(np.unique(mesh.faces)) == count
-    assert np.all(mesh.vertices[:, 2] == 0)
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    area = np.cross(b - a, c - a)[:, 2] / 2
-    assert area.min() > 0  # counter-clockwise
-    assert area.sum() == pytest.approx(size[0] * size[1], rel=1e-9)
-    assert np.allclose(mesh.vertices[:, :2].min(0), 0) and np.allclose(mesh.vertices[:, :2].max(0), size)
-    assert len(igl.boundary_loop_all(mesh.faces)) == 1 and igl.euler_characteristic(mesh.faces) == 1
-
-
-def test_irregularity_lowers_angles_and_seeds_differ():
-    even, mixed, wild = (
-        planar(1000, (2.0, 1.0), np.random.default_rng(0), irregularity) for irregularity in (0.0, 0.5, 1.0)
-    )
-    means = [min_angles(mesh).mean() for mesh in (even, mixed, wild)]
-    assert means[0] > 42 > means[1] > 34 > means[2]
-    again, other = (planar(1000, (2.0, 1.0), np.random.default_rng(seed), 0.0) for seed in (0, 1))
-    assert again.vertices.tobytes() == even.vertices.tobytes()
-    inner = Triangulation(other.vertices, other.faces)
-    assert coincidence(even, inner) < 0.2  # its evenly spaced border is shared
-    with pytest.raises(ValueError, match="at least 4"):
-        planar(3, (1.0, 1.0), np.random.default_rng(0))
-
-
 def test_coincidence_counts_vertices_within_a_tenth_of_an_edge():
     a = icosphere(3)
     length = igl.edge_lengths(*a).mean()
@@ -173,6 +145,7 @@ def test_coincidence_counts_vertices_within_a_tenth_of_an_edge():
     assert coincidence(a, far) == pytest.approx(1 - half.mean())
 
 
+@pytest.mark.slow
 def test_the_bowl_is_even_exact_and_independent():
     folder = os.environ.get("FLX_DATA")
     if not folder:

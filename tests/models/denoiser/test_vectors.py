@@ -1,80 +1,20 @@
-"""Laws of the denoiser: depth, reach, and equivariance of blocks and of the whole."""
+"""Laws of the denoiser: equivariance of its blocks and of the whole."""
 
 import dataclasses
-import functools
-import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.denoisers import COUNT, FILTERS, RHO, SMALL, TORUS, denoiser
 from helpers.frames import field, relative, tables_of, turned
-from helpers.surfaces import icosphere, torus
+from helpers.surfaces import icosphere
 
-from flx.config import FLDM
-from flx.models.denoiser.depth import blocks_for, reach
 from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.vectors import Denoiser, FCResNetBlock
-from flx.models.layers import timestep_features
-from flx.types import MeshTables, OneRings
-
-SMALL = FLDM(latents=3, channels=6, vn_layers=1, embedding=8, conditions=2, precision="float32")
-FILTERS = ("harmonic", "mlp")
-TORUS = tables_of(torus(8, 6))
-COUNT = len(TORUS.fine.masses)
-RHO = jax.random.normal(jax.random.key(9), (COUNT, 2))
 
 
-@functools.cache
-def denoiser(filter: str, conditions: int = 2):
-    """(apply, parameters), compiled once for the whole file."""
-    model = Denoiser(dataclasses.replace(SMALL, filter=filter, conditions=conditions), (1, 1, 1))
-    rho = RHO if conditions else None
-    params = jax.jit(model.init)(jax.random.key(0), TORUS, field(COUNT, 3), jnp.float32(1.0), rho)
-    return jax.jit(model.apply), params
-
-
-@pytest.mark.parametrize(
-    ("vertices", "blocks"),
-    [(2_562, (1, 1, 1)), (5_000, (1, 1, 2)), (10_000, (2, 2, 2)), (30_000, (2, 4, 4))],
-)
-def test_depth_follows_from_the_vertex_count(vertices, blocks):
-    assert blocks_for(vertices) == blocks
-
-
-def test_more_vertices_never_make_a_shallower_network():
-    depths = [blocks_for(n) for n in range(100, 60_000, 100)]
-    assert depths[0] == (1, 1, 1) and depths[-1] == (2, 4, 4)
-    for shallow, deep in itertools.pairwise(depths):
-        assert all(a <= b for a, b in zip(shallow, deep, strict=True))
-
-
-def test_reach_is_where_the_gradient_is_not_zero():
-    tables, blocks, z = tables_of(icosphere(3)), (1, 1, 1), field(642, 3)
-    apply, params = denoiser("harmonic", conditions=0)
-
-    # The norms see every vertex through one mean a channel: weighting it by nothing cuts that path.
-    blind = MeshTables(*(t._replace(masses=t.masses * 0) if isinstance(t, OneRings) else t for t in tables))
-
-    @jax.jit
-    def seen(source):
-        def output(z):
-            return jnp.sum(jnp.abs(apply(params, blind, z, jnp.float32(1.0))[source]))
-
-        return jnp.mean(jnp.abs(jax.grad(output)(z)).max(1) > 0)
-
-    share = reach(tables, blocks, sources=4)
-    sources = np.linspace(0, 641, 4).astype(int)
-    assert share == pytest.approx(np.mean([seen(s) for s in sources]), rel=0.03)
-    assert 0.05 < share < 0.9
-
-
-def test_reach_grows_with_depth():
-    tables = tables_of(icosphere(3))
-    shares = [reach(tables, b) for b in ((1, 1, 1), (1, 1, 2), (1, 2, 2), (2, 2, 2))]
-    assert shares == sorted(shares) and 0 < shares[0] < shares[-1] <= 1
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("network", [Denoiser, MixedDenoiser])
 def test_each_part_has_as_many_blocks_as_asked(network):
     config = dataclasses.replace(SMALL, latents=4, invariants=2 if network is MixedDenoiser else 0)
@@ -93,19 +33,6 @@ def test_a_block_that_adds_nothing_is_the_identity():
     np.testing.assert_array_equal(block.apply(silent, x, TORUS.fine, embedding)[0], x)
 
 
-def test_features_of_steps_add_as_angles():
-    """As complex numbers f(a) f(b) = f(a + b), and steps of a thousand are told apart."""
-
-    def f(t):
-        cosines, sines = np.split(np.asarray(timestep_features(jnp.float32(t), 16)), 2)
-        return cosines + 1j * sines
-
-    np.testing.assert_allclose(f(3) * f(8), f(11), atol=1e-5)
-    steps = np.stack([f(t) for t in range(0, 1000, 37)])
-    apart = np.abs(steps[:, None] - steps[None]).max(-1) + np.eye(len(steps))
-    assert apart.min() > 0.1
-
-
 @pytest.mark.parametrize("filter", FILTERS)
 def test_a_block_turns_with_the_frames(filter):
     alpha = np.random.default_rng(0).uniform(0, 2 * np.pi, COUNT)
@@ -119,6 +46,7 @@ def test_a_block_turns_with_the_frames(filter):
     assert relative(before, x) > 0.1  # the block does something
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter", FILTERS)
 def test_the_denoiser_turns_with_the_frames(filter):
     """A loose bound, tight for blocks: the whole net amplifies rounding by its |x|⁻¹ terms."""
@@ -132,6 +60,7 @@ def test_the_denoiser_turns_with_the_frames(filter):
     assert relative(apply(params, turned(TORUS, alpha), z, t, RHO), expected) > 0.1
 
 
+@pytest.mark.slow
 def test_the_answer_hangs_on_the_step_and_on_the_conditions():
     apply, params = denoiser("harmonic")
     z = field(COUNT, 3)
@@ -140,6 +69,21 @@ def test_the_answer_hangs_on_the_step_and_on_the_conditions():
     assert relative(apply(params, TORUS, z, jnp.float32(10.0), -RHO), first) > 1e-2
 
 
+@pytest.mark.slow
+def test_conditions_must_be_those_of_the_model():
+    apply, params = denoiser("harmonic")
+    with pytest.raises(ValueError, match=r"rho has 0 values a vertex; model.conditions is 2"):
+        apply(params, TORUS, field(COUNT, 3), jnp.float32(1.0), None)
+
+
+@pytest.mark.slow
+def test_the_first_answer_is_small_and_not_nothing():
+    apply, params = denoiser("harmonic")
+    size = jnp.sqrt(jnp.mean(jnp.abs(apply(params, TORUS, field(COUNT, 3), jnp.float32(5.0), RHO)) ** 2))
+    assert 1e-3 < size < 0.7
+
+
+@pytest.mark.slow
 def test_conditions_reach_no_further_than_the_network():
     """ρ is a field: far from where it changes, only the norms' means carry the change."""
     tables = tables_of(icosphere(3))
@@ -152,12 +96,7 @@ def test_conditions_reach_no_further_than_the_network():
     assert change[near].mean() > 20 * jnp.median(change)
 
 
-def test_conditions_must_be_those_of_the_model():
-    apply, params = denoiser("harmonic")
-    with pytest.raises(ValueError, match=r"rho has 0 values a vertex; model.conditions is 2"):
-        apply(params, TORUS, field(COUNT, 3), jnp.float32(1.0), None)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("filter", FILTERS)
 def test_gradients_reach_every_parameter_and_are_finite_at_zero(filter):
     """A field without content has no direction to invent: zero stays zero, and nothing divides by it."""
@@ -175,9 +114,3 @@ def test_gradients_reach_every_parameter_and_are_finite_at_zero(filter):
     answer, at_zero = gradient(params, jnp.zeros((COUNT, 3), jnp.complex64))
     assert jnp.all(answer == 0)
     assert all(jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(at_zero))
-
-
-def test_the_first_answer_is_small_and_not_nothing():
-    apply, params = denoiser("harmonic")
-    size = jnp.sqrt(jnp.mean(jnp.abs(apply(params, TORUS, field(COUNT, 3), jnp.float32(5.0), RHO)) ** 2))
-    assert 1e-3 < size < 0.7

@@ -1,0 +1,57 @@
+"""Laws of the optimiser: its schedule, and who steps how far."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flx.config import Train
+from flx.training.optimizer import ADAM_BESIDE_MUON, learning_rate, make_optimizer
+
+
+@given(st.integers(2, 500), st.integers(0, 400), st.floats(1e-4, 1.0), st.floats(0.0, 1.0))
+def test_the_learning_rate_warms_up_and_follows_a_cosine(steps, warmup, peak, share):
+    warmup = min(warmup, steps - 1)
+    c = Train(steps=steps, warmup=warmup, learning_rate=peak, final_learning_rate=share * peak)
+    every = jnp.arange(500)  # of one shape whatever the example: compiled once
+    rates = np.array(jax.vmap(lambda n: learning_rate(c, n))(every))[:steps]
+    np.testing.assert_allclose(rates[:warmup], peak * np.arange(warmup) / max(warmup, 1), rtol=1e-5)
+    np.testing.assert_allclose(rates[warmup], peak, rtol=1e-5)
+    n = steps - warmup
+    if n > 1:
+        oracle = optax.cosine_decay_schedule(peak, n - 1, alpha=share)
+        expected = jax.vmap(oracle)(every)[:n]
+        np.testing.assert_allclose(rates[warmup:], expected, rtol=1e-4, atol=1e-6 * peak)
+        np.testing.assert_allclose(rates[-1], share * peak, rtol=1e-5, atol=1e-6 * peak)
+
+
+def test_adam_takes_the_scheduled_rate_and_clip_bounds_the_gradient():
+    """The first step of Adam is the learning rate along the gradient's signs, whatever its length."""
+    c = Train(steps=10, learning_rate=0.02, clip=1e-3)
+    gradient = {"w": jnp.array([300.0, -400.0])}
+    optimizer = make_optimizer(c)
+    updates, moments = optimizer.update(gradient, optimizer.init(gradient), gradient)
+    np.testing.assert_allclose(updates["w"], [-0.02, 0.02], rtol=1e-3)
+    first_moment = optax.tree_utils.tree_get(moments, "mu")["w"]
+    np.testing.assert_allclose(first_moment, 0.1 * 1e-3 * np.array([0.6, -0.8]), rtol=1e-5)
+
+
+def test_muon_turns_matrices_by_the_rate_and_leaves_the_rest_to_adam():
+    """Every singular value of a kernel's update is near the rate, whatever the gradient's; signs elsewhere.
+
+    The iteration ends with singular values from about 0.7 to 1.2 (Jordan et al.). The stack and (re, im) are
+    matrices of their own: [2, 6, 8] is two of them.
+    """
+    rng = np.random.default_rng(0)
+    gradient = {"dense": {"kernel": rng.normal(size=(2, 6, 8)), "bias": rng.normal(size=8)}}
+    gradient["dense"]["kernel"][0] *= 1e3
+    gradient = jax.tree.map(jnp.float32, gradient)
+    optimizer = make_optimizer(Train(steps=10, learning_rate=0.1, optimizer="muon"))
+    updates = optimizer.update(gradient, optimizer.init(gradient), gradient)[0]["dense"]
+    scaled = np.linalg.svd(updates["kernel"], compute_uv=False) / (0.1 * np.sqrt(8 / 6))
+    assert np.all((scaled > 0.6) & (scaled < 1.3))
+    along = -updates["bias"] / np.sign(gradient["dense"]["bias"])
+    np.testing.assert_allclose(along, along[0], rtol=1e-3)  # Adam's first step knows the signs alone
+    assert 1 < along[0] / (0.1 * ADAM_BESIDE_MUON) < 2  # longer than the rate by Nesterov's momentum
