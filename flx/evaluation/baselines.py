@@ -24,10 +24,8 @@ from flx.types import Queries, RingSamples, SurfacePoints, TexturedMesh, Triangu
 
 COEFFICIENTS = 16  # numbers per vertex
 FITTED_RINGS = 16_384  # one-rings that principal components are fitted to
-GRID, PATCH_RADIUS = (
-    17,
-    2.6,
-)  # points per side and half the side, in mean vertex radii, of a component's patch
+GRID = 17  # points per side of a component's patch
+EXTENT = 2.6  # half its side, in mean vertex radii
 RINGS_AT_ONCE, POINTS_AT_ONCE = 1024, 16_384  # one-rings encoded and points decoded at a time
 
 
@@ -62,9 +60,8 @@ def vertex_colours(subject: Subject) -> Painter:
 def frame_components(images: ImagePatches) -> Method:
     """The codec of `models.codec.frame` before training: principal components only, with all MLPs zero."""
     config = FLVAE(encoder="frame", invariants=3, width=8, depth=1, edges=1, precision="float32")
-    params = frame.start_from_principal_components(
-        initial_params(config, 0), first_rings(images, 0, FITTED_RINGS)
-    )
+    rings = first_rings(images, 0, FITTED_RINGS)
+    params = frame.start_from_principal_components(initial_params(config, 0), rings)
     silent = jax.tree_util.tree_map_with_path(
         lambda path, leaf: jnp.zeros_like(leaf) if path[-1].key in ("kernel", "bias") else leaf, params
     )
@@ -100,7 +97,7 @@ def components(images: ImagePatches) -> Method:
 
 def fit_components(images: ImagePatches) -> Components:
     """Fit to patches of the images, each grid point weighted by the density of one-ring samples there."""
-    axis = np.linspace(-PATCH_RADIUS, PATCH_RADIUS, GRID)
+    axis = np.linspace(-EXTENT, EXTENT, GRID)
     grid = (axis[None, :] + 1j * axis[:, None]).ravel().astype(np.complex64)
     places = jnp.broadcast_to(grid, (images.batch, len(grid)))
     read = jax.jit(lambda pictures, placement: colors_at(pictures, placement, places)[0])
@@ -124,12 +121,9 @@ def fit_components(images: ImagePatches) -> Components:
 def _density(images: ImagePatches) -> Any:
     """The share of one-ring samples at each grid point, with a small positive floor."""
     z: Any = np.asarray(images.bank.logs).ravel()
-    edges = (np.arange(GRID + 1) - 0.5) / (GRID - 1) * 2 * PATCH_RADIUS - PATCH_RADIUS
-    counts = np.histogram2d(
-        np.clip(z.imag, -PATCH_RADIUS, PATCH_RADIUS),
-        np.clip(z.real, -PATCH_RADIUS, PATCH_RADIUS),
-        [edges, edges],
-    )[0]
+    edges = (np.arange(GRID + 1) - 0.5) / (GRID - 1) * 2 * EXTENT - EXTENT
+    y, x = np.clip(z.imag, -EXTENT, EXTENT), np.clip(z.real, -EXTENT, EXTENT)
+    counts = np.histogram2d(y, x, [edges, edges])[0]
     counts += 1e-3 * counts.max()
     return (counts / counts.sum()).ravel()
 
@@ -162,7 +156,7 @@ def decode_components(fitted: Components, z: Float[Array, "V N"], points: Querie
 def _at(fitted: Components, logs: Complex[Any, "K"]) -> tuple[Float[Array, "K 3"], Float[Array, "K 3 N"]]:
     """Mean and patches at points around the vertex, bilinear; clamped at the border of the grid."""
     place = jnp.stack([jnp.imag(logs), jnp.real(logs)], -1)
-    place = jnp.clip((place + PATCH_RADIUS) * (GRID - 1) / (2 * PATCH_RADIUS), 0, GRID - 1)
+    place = jnp.clip((place + EXTENT) * (GRID - 1) / (2 * EXTENT), 0, GRID - 1)
     corner = jnp.minimum(place.astype(jnp.int32), GRID - 2)
     down, right = jnp.moveaxis(place - corner, -1, 0)
     first = corner[..., 0] * GRID + corner[..., 1]

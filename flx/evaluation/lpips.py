@@ -95,11 +95,11 @@ class Judge(NamedTuple):
         own, new = (np.pad(image, [*missing, (0, 0)], mode="edge") for image in (own, new))
         covered = np.pad(covered, missing)
         sums = np.zeros((len(self.stages), 2))
-        for seen, within in tiles(*covered.shape):
-            weights = np.zeros(covered[seen].shape, np.float32)
-            weights[within] = covered[seen][within]
+        for tile, interior in tiles(*covered.shape):
+            weights = np.zeros(covered[tile].shape, np.float32)
+            weights[interior] = covered[tile][interior]
             if weights.any():
-                sums += np.asarray(_distances(self.stages, self.weights, own[seen], new[seen], weights))
+                sums += np.asarray(_distances(self.stages, self.weights, own[tile], new[tile], weights))
         return float(np.sum(sums[:, 0] / sums[:, 1])) if sums.any() else float("nan")
 
 

@@ -37,13 +37,9 @@ def intrinsic_field(subject: Subject) -> Painter:
     mesh = subject.mesh
     hits = transfer(points, *subject.triangulation, mesh.vertices, mesh.faces)
     corners = jnp.asarray(subject.triangulation.faces[points.faces], jnp.int32)
-    samples = (
-        corners,
-        jnp.asarray(points.barycentrics, jnp.float32),
-        jnp.asarray(surface_colors(mesh, hits)),
-    )
+    data = (corners, jnp.asarray(points.barycentrics, jnp.float32), jnp.asarray(surface_colors(mesh, hits)))
     model = RealMLP(WIDTHS)
-    params = _fit(model, functions, samples)
+    params = _fit(model, functions, data)
 
     @jax.jit
     def colors(corners: Array, barycentrics: Array) -> Array:
@@ -71,9 +67,9 @@ def eigenfunctions(triangulation: Triangulation) -> Float64[Any, "V N"]:
     return eigsh(stiffness.tocsc(), count, masses.tocsc(), sigma=-1e-2 / area, v0=start)[1]
 
 
-def _fit(model: RealMLP, functions: Float[Array, "V N"], samples: tuple[Array, Array, Array]) -> Any:
+def _fit(model: RealMLP, functions: Float[Array, "V N"], data: tuple[Array, Array, Array]) -> Any:
     """Minimise the L1 distance of colours with Adam."""
-    corners, barycentrics, colors = samples
+    corners, barycentrics, colors = data
     optimiser = optax.adam(optax.cosine_decay_schedule(RATE, STEPS))
     params = model.init(jax.random.key(0), functions[:1])
 

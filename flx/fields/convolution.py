@@ -243,9 +243,9 @@ def _messages(rings: OneRings, x: Array, shift: Array, weights: Parameters) -> A
         q, edge = slot
         return total + _message(edge, gather(x, q), gather(shift, q), weights), None
 
-    nothing = jnp.zeros((x.shape[0], shift.shape[1], x.shape[1]), x.dtype)
+    zeros = jnp.zeros((x.shape[0], shift.shape[1], x.shape[1]), x.dtype)
     slots = (rings.neighbors.T, tuple(e.T for e in _mlp_edges(rings)))
-    return jax.lax.scan(receive, nothing, slots)[0]
+    return jax.lax.scan(receive, zeros, slots)[0]
 
 
 def _messages_forward(rings: OneRings, x: Array, shift: Array, weights: Parameters) -> tuple[Array, tuple]:
@@ -261,9 +261,9 @@ def _messages_backward(saved: tuple, cotangent: Array) -> tuple:
         _, pull = jax.vjp(lambda *primals: _message(edge, *primals), *primals)
         return jax.tree.map(jnp.add, total, list(pull(gather(cotangent, p)))), None
 
-    nothing = jax.tree.map(jnp.zeros_like, primals)
+    zeros = jax.tree.map(jnp.zeros_like, primals)
     slots = (rings.neighbors.T, tuple(gather_reverse(rings, e).T for e in _mlp_edges(rings)))
-    return None, *jax.lax.scan(send, nothing, slots)[0]
+    return None, *jax.lax.scan(send, zeros, slots)[0]
 
 
 _messages.defvjp(_messages_forward, _messages_backward)

@@ -326,22 +326,22 @@ def _pad_rings(rings: OneRings, count: int, width: int) -> OneRings:
     neighbors[:v, :k] = rings.neighbors
     reverse = np.tile(np.arange(width, dtype=np.int32), (count, 1))
     reverse[:v, :k] = rings.reverse
-    more = ((0, count - v), (0, width - k))
+    padding = ((0, count - v), (0, width - k))
     return OneRings(
         neighbors,
         reverse,
-        np.pad(rings.logs, more),
-        np.pad(rings.transports, more, constant_values=1),
-        np.pad(rings.weights, more),
-        np.pad(rings.masses, more[0]),
+        np.pad(rings.logs, padding),
+        np.pad(rings.transports, padding, constant_values=1),
+        np.pad(rings.weights, padding),
+        np.pad(rings.masses, padding[0]),
     )
 
 
 def _pad_pooling(pooling: Pooling, vertices: int, clusters: int, width: int) -> Pooling:
     v = len(pooling.parents)
     w, m = pooling.children.shape
-    more = ((0, clusters - w), (0, width - m))
-    centers = np.pad(pooling.centers, more[0])
+    padding = ((0, clusters - w), (0, width - m))
+    centers = np.pad(pooling.centers, padding[0])
     children = np.repeat(centers[:, None], width, axis=1)
     children[:w, :m] = pooling.children
     return Pooling(
@@ -349,6 +349,6 @@ def _pad_pooling(pooling: Pooling, vertices: int, clusters: int, width: int) -> 
         np.pad(pooling.parents, (0, vertices - v)),
         np.pad(pooling.transports, (0, vertices - v), constant_values=1),
         children,
-        np.pad(pooling.child_transports, more, constant_values=1),
-        np.pad(pooling.child_weights, more),
+        np.pad(pooling.child_transports, padding, constant_values=1),
+        np.pad(pooling.child_weights, padding),
     )

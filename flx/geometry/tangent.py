@@ -76,25 +76,25 @@ def tangent_frames(triangulation: Triangulation) -> TangentFrames:
     theta = np.zeros((count, width))
     starts = np.zeros(len(at))
     total = np.zeros(count)
-    seen = np.zeros(count, np.int64)
-    turning = np.flatnonzero(first >= 0)
-    corner = first[turning]
+    visited = np.zeros(count, np.int64)
+    active = np.flatnonzero(first >= 0)
+    corner = first[active]
     for k in range(width):
-        if not len(turning):
+        if not len(active):
             break
-        neighbors[turning, k] = to[corner]
-        theta[turning, k] = starts[corner] = total[turning]
-        total[turning] += angles[corner]
-        seen[turning] += 1
+        neighbors[active, k] = to[corner]
+        theta[active, k] = starts[corner] = total[active]
+        total[active] += angles[corner]
+        visited[active] += 1
         after = following[corner]
-        last = turning[after < 0]
+        last = active[after < 0]
         if len(last):  # the second boundary edge
             neighbors[last, k + 1] = back[corner[after < 0]]
             theta[last, k + 1] = total[last]
-        onward = (after >= 0) & (after != first[turning])
-        turning, corner = turning[onward], after[onward]
-    if (seen != degrees).any():
-        vertex = int(np.flatnonzero(seen != degrees)[0])
+        onward = (after >= 0) & (after != first[active])
+        active, corner = active[onward], after[onward]
+    if (visited != degrees).any():
+        vertex = int(np.flatnonzero(visited != degrees)[0])
         raise ValueError(f"vertex {vertex} joins several fans of faces; split it before measuring tangents")
 
     scales = np.ones(count)

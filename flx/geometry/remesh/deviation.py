@@ -20,9 +20,7 @@ EASY = 0.7  # distance, in allowed gaps, up to which nothing is penalised
 # Distances, in allowed gaps, beyond which the surface is also sampled at edge middles, and inside faces.
 NEAR, DOUBTFUL = 0.5, 0.8
 CLOSE = 0.3  # if the corners and the centroid of a face are closer than this, no point of it is beyond 1
-SLOPE_COSINE = np.cos(
-    np.radians(25.0)
-)  # faces tilted by less than 25° against the normals of their corners hide no gap
+SLOPE_COSINE = np.cos(np.radians(25.0))  # faces that tilt less against their vertex normals hide no gap
 
 
 def _lattice(n):
@@ -137,9 +135,8 @@ def _leaning(vertices, faces):
     normals = area_normals(vertices, faces)
     corners = vertex_normals(faces, normals, len(vertices))
     normals = unit_vectors(normals)
-    return (
-        np.minimum.reduce([dot(normals, np.take(corners, faces[:, k], 0)) for k in range(3)]) < SLOPE_COSINE
-    )
+    cosines = [dot(normals, np.take(corners, faces[:, k], 0)) for k in range(3)]
+    return np.minimum.reduce(cosines) < SLOPE_COSINE
 
 
 def _probed(vertices, faces, surface, gap):

@@ -57,15 +57,13 @@ def widen_angles(
         stars = Stars(vertices, faces, movers)
         step = rng.normal(size=(len(movers), 3)) * (0.2 * surface.length * rng.random(len(movers)))[:, None]
         step -= dot(step, stars.normals)[:, None] * stars.normals
-        landed, on_own_side = surface.project(
-            vertices[movers] + step, stars.normals, kind[movers], rim[movers]
-        )
+        goals = vertices[movers] + step
+        landed, on_own_side = surface.project(goals, stars.normals, kind[movers], rim[movers])
         moved = vertices.copy()
         moved[movers] = landed
         after = sharpest_cosines(moved, stars.faces)
-        better = (
-            on_own_side & stars.keep_facing(moved) & (stars.worst(after) < stars.worst(cosines[stars.ids]))
-        )
+        better = stars.worst(after) < stars.worst(cosines[stars.ids])
+        better &= on_own_side & stars.keep_facing(moved)
         vertices[movers[better]] = landed[better]
         improved = better[stars.owners]
         cosines[stars.ids[improved]] = after[improved]

@@ -26,9 +26,7 @@ MARGIN_RINGS = 3  # rings of faces around the bad places that a lap works on
 STEP = 0.6  # scale of the random moves, in wanted edge lengths
 ANEW = 0.3  # share of the moves that start at the mean of the neighbours and ignore features
 AIMED = 0.5  # share of the moves that aim at a point that the mesh misses, where there is one
-COARSE = (
-    3e-3  # allowed gap, as a share of the diagonal, from which a copy is too coarse to follow every detail
-)
+COARSE = 3e-3  # allowed gap, as a share of the diagonal, from which a copy cannot follow every detail
 WIDEST = 3e-3  # share of the gaps that such a copy closes, the widest; closing all would spoil its angles
 LONGEST_EDGE = 1.7  # longest edge that the search may make, in wanted edge lengths
 UPRIGHT = 0.1  # least cosine between the normals of a face and its patch
