@@ -43,7 +43,6 @@ def test_importing_flx_loads_itself_and_the_standard_library():
     assert "flx" in loaded and loaded - {"flx"} <= sys.stdlib_module_names
 
 
-@pytest.mark.xfail(reason="flx still needs fcntl and resource", strict=False)
 def test_every_module_loads_where_there_is_no_posix():
     """Windows has neither module."""
     code = (
@@ -54,7 +53,6 @@ def test_every_module_loads_where_there_is_no_posix():
     assert int(python(code)) >= len(SOURCES) - 1
 
 
-@pytest.mark.xfail(reason="flx still needs fcntl and resource", strict=False)
 def test_what_windows_lacks_is_only_tried():
     """Inside functions too, where loading a module does not look."""
     found = []

@@ -1,5 +1,6 @@
 """From a textured mesh to what the denoiser trains on: triangulated copies and their latents, on disk."""
 
+import contextlib
 import hashlib
 import os
 import zipfile
@@ -7,7 +8,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex64
@@ -74,13 +75,14 @@ class Cache(NamedTuple):
         write_atomically(self.path(seed), lambda path: np.savez(path, **rest))
 
     def load(self, seed: int) -> Prepared:
-        with np.load(self.path(seed), allow_pickle=False) as arrays:
-            triangulation = Triangulation(arrays["vertices"], arrays["faces"])
-            return Prepared(triangulation, load_tables(self._tables(seed)), arrays["latents"])
+        """Raises ValueError where a file of the copy is damaged."""
+        with _arrays(self.path(seed), "prepared copy") as arrays:
+            triangulation, latents = Triangulation(arrays["vertices"], arrays["faces"]), arrays["latents"]
+        return Prepared(triangulation, load_tables(self._tables(seed)), latents)
 
 
 def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Cache:
-    """The cache of copies that hang on these contents and no others."""
+    """The cache of the copies that depend on exactly these contents."""
     folder.mkdir(parents=True, exist_ok=True)
     parts = (asset.digest, surface.vertices, surface.slots, codec.config, codec.digest())
     return Cache(folder, hashlib.sha256(repr(parts).encode()).hexdigest()[:12])
@@ -133,17 +135,20 @@ def save_tables(path: str | os.PathLike, tables: MeshTables) -> None:
 
 
 def load_tables(path: str | os.PathLike) -> MeshTables:
-    """Read what `save_tables` wrote.
+    """Read what `save_tables` wrote. Raises ValueError where the file is damaged or holds something else."""
+    with _arrays(path, "mesh tables") as file:
+        return MeshTables(
+            fine=OneRings(*(file[f"fine.{name}"] for name in OneRings._fields)),
+            pooling=Pooling(*(file[f"pooling.{name}"] for name in Pooling._fields)),
+            coarse=OneRings(*(file[f"coarse.{name}"] for name in OneRings._fields)),
+        )
 
-    Raises:
-      ValueError: the file is damaged or holds something else.
-    """
+
+@contextlib.contextmanager
+def _arrays(path: str | os.PathLike, what: str) -> Iterator[Any]:
+    """The arrays of an npz. Raises ValueError, naming the file, where it is damaged or an array is missing."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            return MeshTables(
-                fine=OneRings(*(file[f"fine.{name}"] for name in OneRings._fields)),
-                pooling=Pooling(*(file[f"pooling.{name}"] for name in Pooling._fields)),
-                coarse=OneRings(*(file[f"coarse.{name}"] for name in OneRings._fields)),
-            )
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} holds no mesh tables ({error}); delete it and prepare again") from error
+            yield file
+    except (KeyError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} holds no {what} ({error}); delete it and prepare again") from error

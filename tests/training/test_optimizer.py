@@ -13,10 +13,10 @@ from flx.training.optimizer import ADAM_BESIDE_MUON, learning_rate, make_optimiz
 
 @given(st.integers(2, 500), st.integers(0, 400), st.floats(1e-4, 1.0), st.floats(0.0, 1.0))
 def test_the_learning_rate_warms_up_and_follows_a_cosine(steps, warmup, peak, share):
-    warmup = min(warmup, steps - 1)
     c = Train(steps=steps, warmup=warmup, learning_rate=peak, final_learning_rate=share * peak)
     every = jnp.arange(500)  # of one shape whatever the example: compiled once
     rates = np.array(jax.vmap(lambda n: learning_rate(c, n))(every))[:steps]
+    warmup = min(warmup, steps // 2)  # a short run of a long run's config still gets to its rate
     np.testing.assert_allclose(rates[:warmup], peak * np.arange(warmup) / max(warmup, 1), rtol=1e-5)
     np.testing.assert_allclose(rates[warmup], peak, rtol=1e-5)
     n = steps - warmup

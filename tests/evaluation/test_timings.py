@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from flx.commands import bench
 from flx.config import FLVAE
+from flx.evaluation import timings
 from flx.pipeline.codec import Codec, initial_params
 
 WARM_UP, ENCODE, DECODE = 1000.0, 2.0, 9.0  # seconds
@@ -31,11 +31,11 @@ def rows() -> dict[str, dict]:
 
     with pytest.MonkeyPatch.context() as patch:
         for name, size in {"VERTICES": 40, "TEXELS": 90, "RINGS": 4, "SIDE": 16}.items():
-            patch.setattr(bench, name, size)
-        patch.setattr(bench, "FLVAE", lambda: small)
-        patch.setattr(bench, "load_codec", lambda: Slow(small, initial_params(small, 0)))
+            patch.setattr(timings, name, size)
+        patch.setattr(timings, "FLVAE", lambda: small)
+        patch.setattr(timings, "load_codec", lambda: Slow(small, initial_params(small, 0)))
         patch.setattr(time, "perf_counter", lambda: clock() + skipped[0])
-        return {row["name"]: row for row in bench.codec_rows(repeats=2)} | {"calls": calls}
+        return {row["name"]: row for row in timings.codec_rows(repeats=2)} | {"calls": calls}
 
 
 @pytest.mark.slow
@@ -75,4 +75,4 @@ def test_the_peak_is_in_bytes_and_of_this_process():
     page = os.sysconf("SC_PAGE_SIZE")
     with open("/proc/self/statm") as file:
         held = int(file.read().split()[1]) * page
-    assert 0.9 * held < bench.peak_bytes() < os.sysconf("SC_PHYS_PAGES") * page
+    assert 0.9 * held < timings.peak_bytes() < os.sysconf("SC_PHYS_PAGES") * page

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.scene import container, png, save, without_storage
 from PIL import Image
-from test_gltf import container, png, save, without_storage
 
 from flx.assets.asset import Painting, own_painting
 from flx.assets.formats.gltf import Gltf, accessor, append, append_view, image_bytes, read_gltf

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
+from helpers.surfaces import icosphere, square_grid
 from PIL import Image
-from shapes import icosphere, square_grid
 
 from flx.assets.arrays import from_arrays, from_trimesh, sheet_asset, to_trimesh
 from flx.assets.asset import Asset, Painting, own_painting
