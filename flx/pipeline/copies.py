@@ -146,7 +146,7 @@ def load_tables(path: str | os.PathLike) -> MeshTables:
 
 @contextlib.contextmanager
 def _arrays(path: str | os.PathLike, what: str) -> Iterator[Any]:
-    """The arrays of an npz. Raises ValueError, naming the file, where it is damaged or an array is missing."""
+    """The arrays of an npz. Raises ValueError, naming the file, if it is damaged or lacks an array."""
     try:
         with np.load(path, allow_pickle=False) as file:
             yield file
