@@ -44,6 +44,7 @@ def test_sixteen_components_keep_nearly_linear_colours(method, images):
     assert error < 0.012 and error < rms(flat, truth) / 1.3
 
 
+@pytest.mark.slow
 def test_encoding_gives_back_the_coefficients_of_a_component(images):
     fitted = baselines.fit_components(images)
     seen, *_ = subject(square_grid(5), square_grid(9))

@@ -72,6 +72,7 @@ def test_it_is_a_distance():
     assert judge.distance(own, new, covered) == pytest.approx(judge.distance(new, own, covered), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_parts_add_up_to_the_whole(monkeypatch):
     """Each part sees as far as its features do: tiling changes nothing but the order of sums."""
     judge, (own, new) = random_judge(), pictures(150, 131)

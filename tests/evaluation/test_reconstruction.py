@@ -33,6 +33,7 @@ def refuse(subject):
     raise AssertionError("measured again")
 
 
+@pytest.mark.slow
 def test_rows_that_are_there_are_kept_and_others_added(folder, monkeypatch):
     first = json.loads((folder / "out" / "table.json").read_text())["rows"]
     monkeypatch.setattr(reconstruction, "vertex_colours", refuse)
