@@ -57,31 +57,7 @@ _HOME = {
     ),
 }
 
-__all__ = [
-    "FLDM",
-    "FLVAE",
-    "FLDMExperiment",
-    "FLVAEExperiment",
-    "Images",
-    "Surface",
-    "Train",
-    "__version__",
-    "fidelity",
-    "from_arrays",
-    "from_trimesh",
-    "generate",
-    "load",
-    "load_codec",
-    "load_generator",
-    "paint",
-    "quick",
-    "save",
-    "show",
-    "to_trimesh",
-    "train",
-    "triangulate",
-    "vase",
-]
+__all__ = ["__version__", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

@@ -32,10 +32,20 @@ def from_arrays(
     colors: ArrayLike | None = None,
     name: str = "mesh",
 ) -> Asset:
-    """An asset of triangles with an image, or with colours at its vertices.
+    """An asset of triangles with an image, or with colours at its vertices, repaired as a file's are.
 
-    `uvs` [V, 2] or, for each corner, [F, 3, 2] run right and down; `image` [H, W, 3 or 4] and `colors`
-    [V, 3 or 4] are uint8, or numbers in [0, 1], all sRGB. Raises ValueError for what cannot be used.
+    Args:
+        vertices: Positions, [V, 3].
+        faces: Vertices of each triangle, [F, 3], counter-clockwise seen from outside.
+        uvs: Texture coordinates of vertices [V, 2] or of corners [F, 3, 2]; they run right and down.
+        image: The texture, [H, W, 3 or 4], uint8 or numbers in [0, 1], sRGB; with `uvs`.
+        colors: Colours of vertices, [V, 3 or 4], of the same kinds; instead of `uvs` and `image`.
+        name: Names the part in files and messages.
+
+    Raises ValueError, naming the row, for shapes, indices and numbers that cannot be used.
+
+    Example:
+        asset = flx.from_arrays(vertices, faces, uvs, image=np.asarray(Image.open("bowl.png")))
     """
     points, triangles = _numbers(vertices, "vertices", (None, 3)), _faces(faces)
     if not len(triangles) or not len(points):
@@ -131,9 +141,16 @@ def _colors(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Num[
 
 
 def from_trimesh(mesh: "trimesh.Trimesh", name: str = "mesh") -> Asset:
-    """The asset of a trimesh with a texture, or with colours of vertices or faces; there v runs up.
+    """The asset of a `trimesh.Trimesh` with a texture, or with colours of vertices or faces.
 
-    Raises ValueError where it has neither, as `from_arrays` does for what is wrong with them.
+    Args:
+        mesh: Its texture coordinates run up, as trimesh has them.
+        name: Names the part in files and messages.
+
+    Raises ValueError where it has no colours, and as `from_arrays` does.
+
+    Example:
+        asset = flx.from_trimesh(trimesh.load_mesh("bowl.off"), name="bowl")
     """
     visual: Any = mesh.visual
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -153,7 +170,17 @@ def from_trimesh(mesh: "trimesh.Trimesh", name: str = "mesh") -> Asset:
 
 
 def to_trimesh(asset: Asset, painting: Painting | None = None) -> "trimesh.Trimesh":
-    """The asset's own triangles, with its own or new colours. Raises ValueError for more than one texture."""
+    """The asset's own triangles, with its own or new colours, as a `trimesh.Trimesh`.
+
+    Args:
+        asset: With one texture, or with vertex colours.
+        painting: New colours, from `flx.paint` or `flx.generate`; the asset's own unless given.
+
+    Raises ValueError for an asset with more than one texture.
+
+    Example:
+        flx.to_trimesh(asset, painting).show()
+    """
     import trimesh
     from trimesh.visual import ColorVisuals, TextureVisuals
     from trimesh.visual.material import PBRMaterial

@@ -64,7 +64,11 @@ def vase() -> TexturedMesh:
 
 
 def vase_asset() -> Asset:
-    """The vase as a GLB holds it: one glazed PBR material, vertices split along UV seams."""
+    """The vase as a GLB holds it: one glazed PBR material, vertices split along UV seams.
+
+    Example:
+        flx.show(flx.vase())
+    """
     mesh = vase()
     rows, uvs, faces = split_corners(mesh.faces, mesh.corner_uvs)
     by_angle = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE

@@ -29,12 +29,20 @@ BLOCK = 1 << 14  # rows written at a time
 
 
 def write(asset: Asset, painting: Painting, path: str | Path) -> None:
-    """The asset with new maps in the suffix's format, each file whole or not at all.
+    """Write the asset with new maps, each file whole or not at all.
 
-    GLB: images that are not given stay as they are, in an asset that was GLB byte for byte. OBJ: beside it an
-    MTL, and a PNG for each texture that is not flat, named after `path`. PLY: colours of vertices alone, in 8
-    bits. Alpha is kept. Raises ValueError where the format cannot hold the painting, where that has not an
-    image for each of the asset's, and where an OBJ would overwrite a file of the asset.
+    Args:
+        asset: The mesh file; geometry, UVs, materials and names are written as they were read.
+        painting: New images or vertex colours. Maps that it leaves out stay as they are, byte for byte in an
+            asset that was a GLB or glTF. Alpha is kept.
+        path: The suffix chooses the format: .glb; .obj, with an MTL and a PNG for each painted texture next
+            to it; .ply, for colours of vertices alone.
+
+    Raises ValueError where the format cannot hold the painting, where an image is missing, and where an OBJ
+    would overwrite a file of the asset.
+
+    Example:
+        flx.save(asset, painting, "variation.glb")
     """
     path = Path(path)
     _check_painting(asset, painting, path)
