@@ -163,7 +163,7 @@ def test_what_is_painted_anew_is_measured_from_the_mean_of_the_rings():
 @pytest.mark.slow
 def test_half_of_the_patches_are_painted_anew_and_within_range():
     picture = np.random.default_rng(4).integers(0, 256, (1, 64, 64, 3)).astype(np.uint8)
-    lay = patching.random_lay(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
+    lay = patching.random_placement(jax.random.key(0), 4000, 1, CONFIG)._replace(scale=jnp.ones(4000))
     places = jnp.asarray(np.random.default_rng(5).normal(size=(4000, 6)) * (1 + 1j), jnp.complex64)
     painted = patching.colors_at(jnp.asarray(picture), lay, places)[0]
     kept = patching.colors_at(jnp.asarray(picture), lay._replace(painted=jnp.zeros(4000)), places)[0]
