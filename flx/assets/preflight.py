@@ -1,4 +1,4 @@
-"""Before anything is paid for: can the asset be written there, and what will the new file lack?"""
+"""Checks that the asset can be written, before the work starts, and reports what the new file will lack."""
 
 import os
 import sys
@@ -13,18 +13,16 @@ from flx.assets.write import check_room
 
 
 def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Sequence[Path] = ()) -> None:
-    """Before anything is paid for: can the asset be written to `paths`, with other files `beside` it? Says on
-    stderr, in one line, what stays behind and what is not there.
+    """Checks that the asset can be written to `paths`, with other files `beside` it. Lists on stderr, in one
+    line, what the format cannot hold and which files are missing.
 
-    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures; where files
-    of the asset itself would be overwritten; and where there can be no such folder.
+    Raises ValueError for a PLY (vertex colours only) of an asset with textures, where files of the asset
+    would be overwritten, and where the folder cannot be made or written to.
     """
     for folder in {path.parent for path in paths}:
         _check_folder(folder)
     if format == "ply" and asset.textures:
-        raise ValueError(
-            f"{asset.path} has textures, a PLY has colours of vertices; take --format glb or obj"
-        )
+        raise ValueError(f"{asset.path} has textures, a PLY only vertex colours; use --format glb or obj")
     for path in paths:
         check_room(asset, path, beside)
     notes = []
@@ -43,4 +41,4 @@ def _check_folder(folder: Path) -> None:
     if not there.is_dir():
         raise ValueError(f"{there} is a file; name a folder with --out")
     if not os.access(there, os.W_OK | os.X_OK):
-        raise ValueError(f"{there} may not be written to; name another folder with --out")
+        raise ValueError(f"{there} is not writable; name another folder with --out")

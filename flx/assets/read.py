@@ -1,4 +1,4 @@
-"""The door: a textured mesh file in, an `Asset` out, or one line that says what is wrong with the file."""
+"""Reads a textured mesh file into an `Asset`, or raises an error of one line that names the fault."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from flx.types import Slot
 def read_asset(
     path: str | Path, texture: str | Path | None = None, slots: Sequence[Slot] = ("base_color",)
 ) -> Asset:
-    """Reads, repairs and reports. `texture` takes the place of the file's one base colour image, or of none.
+    """Reads and repairs a file. `texture` replaces its one base colour image, or is added where it has none.
 
     The base colour is always read; of the other maps, those named in `slots`. Raises FileNotFoundError, or
     ValueError where the file has no triangles, no colour, an unreadable part, no map in one of the slots, or
@@ -38,7 +38,7 @@ def read_asset(
 
 
 def _read_contents(path: Path, reader: Callable[[Path], Contents]) -> Contents:
-    """Whatever a parser stumbles over, in one line."""
+    """Turns an unforeseen error of a parser into one line."""
     try:
         return reader(path)
     except (BadFile, OSError):

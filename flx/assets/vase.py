@@ -17,11 +17,11 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial import KDTree
 
-from flx.assets.arrays import split_corners
 from flx.assets.assemble import assemble
 from flx.assets.asset import Asset
 from flx.assets.formats.glb import build_gltf
 from flx.assets.formats.images import encode_png
+from flx.assets.formats.obj import split_corners
 from flx.assets.formats.parts import Paint, Part
 from flx.assets.formats.readers import gltf_contents
 from flx.geometry.arrays import face_areas
@@ -100,17 +100,10 @@ def _lathe() -> tuple[Float64[Any, "V 3"], Int[Any, "F 3"], Float64[Any, "F 3 2"
     around = 4 * round(2 * np.pi * profile[:, 0].max() / SPACING / 4)
     inner = len(profile) - 2  # rings of vertices between the two poles
     angles = 2 * np.pi * np.arange(around) / around
-    rings = profile[1:-1, None]
-    vertices = np.stack(
-        [
-            rings[..., 0] * np.sin(angles),
-            np.broadcast_to(rings[..., 1], (inner, around)),
-            rings[..., 0] * np.cos(angles),
-        ],
-        -1,
-    ).reshape(-1, 3)
+    radii, heights = profile[1:-1].T[..., None]
+    axes = np.broadcast_arrays(radii * np.sin(angles), heights, radii * np.cos(angles))
     poles = np.array([[0, profile[0, 1], 0], [0, profile[-1, 1], 0]])
-    vertices = np.concatenate([vertices, poles])
+    vertices = np.concatenate([np.stack(axes, -1).reshape(-1, 3), poles])
 
     # Corners as (step of the profile, step around), the latter up to `around`: a chart's far edge.
     i, j = np.meshgrid(np.arange(inner - 1) + 1, np.arange(around), indexing="ij")

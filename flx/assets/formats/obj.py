@@ -183,6 +183,15 @@ def unmerge(corners: Int[Any, "C K"]) -> tuple[Int[Any, "R K"], Int[Any, "F 3"]]
     return corners[first], which.reshape(-1, 3)
 
 
+def split_corners(
+    faces: Int[Any, "F 3"], uvs: Float64[Any, "F 3 2"]
+) -> tuple[Int[Any, "R"], Float64[Any, "R 2"], Int[Any, "F 3"]]:
+    """A row for each vertex and coordinate that occur together: its vertex, its coordinate, and the faces."""
+    first, which = distinct_rows(uvs.reshape(-1, 2))
+    rows, split = unmerge(np.stack([faces.ravel(), which], 1))
+    return rows[:, 0], uvs.reshape(-1, 2)[first][rows[:, 1]], split
+
+
 def colors_of(values: Float64[Any, "N 3"]) -> Float32[Any, "N 3"]:
     """Colours in [0, 1] of all that a file has, whether it counts to 1 or, as some do, to 255."""
     return (values / color_scale(values)).clip(0, 1).astype(np.float32)

@@ -65,7 +65,7 @@ def test_several_variations_in_one_folder_share_the_maps(tmp_path):
         lambda: check_room(asset, paths[0]),
         lambda: write(asset, Painting({"base_color": new_images(asset)}), paths[0]),
     ):
-        with pytest.raises(ValueError, match=r"bump\.png is there, and is another image.*--out"):
+        with pytest.raises(ValueError, match=r"bump\.png exists and differs from the map.*--out"):
             refused()
 
 
