@@ -20,7 +20,11 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
     would be overwritten, and where the folder cannot be made or written to.
     """
     for folder in {path.parent for path in paths}:
-        _check_folder(folder)
+        existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+        if not existing.is_dir():
+            raise ValueError(f"{existing} is a file; name a folder with --out")
+        if not os.access(existing, os.W_OK | os.X_OK):
+            raise ValueError(f"{existing} is not writable; name another folder with --out")
     if format == "ply" and asset.textures:
         raise ValueError(f"{asset.path} has textures, a PLY only vertex colours; use --format glb or obj")
     for path in paths:
@@ -30,15 +34,6 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
         keeping = {ObjSource: "; --format obj keeps all", Gltf: "; --format glb keeps all"}
         notes.append(f"{left} stay behind{keeping.get(type(asset.container), '')}")
     if missing := dangling(asset, format):
-        notes.append(f"not there, but named in what is written: {missing}")
+        notes.append(f"missing, but named in the new file: {missing}")
     if notes:
         print(f"{asset.path}: {'; '.join(notes)}", file=sys.stderr)
-
-
-def _check_folder(folder: Path) -> None:
-    """Raises ValueError where no folder can be made, or nothing written into it."""
-    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    if not there.is_dir():
-        raise ValueError(f"{there} is a file; name a folder with --out")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise ValueError(f"{there} is not writable; name another folder with --out")

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Float64, Num, UInt8
-from PIL import Image
 
 from flx.assets.asset import Asset, Images, Painting, own_painting
 from flx.assets.formats import glb, obj_source
@@ -263,4 +262,4 @@ def write_atlases(asset: Asset, painting: Painting, path: Path) -> None:
 
 def write_png(path: Path, image: UInt8[Any, "H W 3"]) -> None:
     """A PNG, whole or not at all."""
-    write_atomically(path, lambda torn: Image.fromarray(image).save(torn))
+    write_atomically(path, encode_png(image, None))

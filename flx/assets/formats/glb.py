@@ -40,7 +40,10 @@ def replace_images(gltf: Gltf, slot: Slot, textures: Mapping[int, int], pngs: Ma
     document, views = _copy(gltf.document), list(gltf.views)
     materials = document.setdefault("materials", [])
     if len(materials) in textures:
-        _give_default_material(document)
+        default = append(document, "materials", {"name": "default"})
+        for mesh in document["meshes"]:
+            for primitive in mesh["primitives"]:
+                primitive.setdefault("material", default)
     references = [texture_reference(material, slot) for material in materials]
     shared = _images_of_other_slots(document, references)
     words = slot.replace("_", " ")
@@ -97,7 +100,7 @@ def replace_colors(gltf: Gltf, colors: Mapping[tuple[int, int], Float32[Any, "_ 
 
 
 def _copy(document: dict) -> dict:
-    return json.loads(json.dumps(document))
+    return json.loads(json.dumps(document))  # `deepcopy` is slower, and fails on deep nesting
 
 
 def _append_rows(document: dict, views: list[bytes], rows: Num[Any, "N C"]) -> int:
@@ -107,14 +110,6 @@ def _append_rows(document: dict, views: list[bytes], rows: Num[Any, "N C"]) -> i
     entry = {"bufferView": append_view(document, views, rows.tobytes()), "componentType": component}
     entry |= {"count": len(rows), "type": kind, "min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
     return append(document, "accessors", entry)
-
-
-def _give_default_material(document: dict) -> None:
-    """Names the specification's default material, for the primitives that have none."""
-    material = append(document, "materials", {"name": "default"})
-    for mesh in document["meshes"]:
-        for primitive in mesh["primitives"]:
-            primitive.setdefault("material", material)
 
 
 def _images_of_other_slots(document: dict, references: Sequence[dict]) -> set[int]:

@@ -179,11 +179,10 @@ def _read_alike(
         size = 1
         if count:
             try:
-                size = _size(np.frombuffer(content, count, 1, at)[0])
+                size, at = _size(content, count, at)
             except ValueError:
                 return None
             layout.append((f"{name} size", count, (1,)))
-            at += np.dtype(count).itemsize
         layout.append((name, kind, (size,)))
         at += np.dtype(kind).itemsize * size
         if at > len(content):
@@ -211,8 +210,7 @@ def _read_each(
             size, width = 1, np.dtype(kind).itemsize
             try:
                 if count:
-                    size = _size(np.frombuffer(content, count, 1, start)[0])
-                    start += np.dtype(count).itemsize
+                    size, start = _size(content, count, start)
                 if start + width * size > len(content):
                     raise ValueError
             except ValueError:
@@ -226,11 +224,15 @@ def _read_each(
     return columns, start
 
 
-def _size(value: Any) -> int:
-    """The length of a list, which in an ASCII file is a float. Raises ValueError where it cannot be one."""
+def _size(content: Body, kind: str, at: int) -> tuple[int, int]:
+    """The length of a list, which in an ASCII file is a float, and where its values begin.
+
+    Raises ValueError where it is not a length.
+    """
+    value = np.frombuffer(content, kind, 1, at)[0]
     if not 0 <= value < 1 << 31 or value != int(value):
         raise ValueError(f"{value} is not the length of a list")
-    return int(value)
+    return int(value), at + np.dtype(kind).itemsize
 
 
 # ---------------------------------------------------------------------------------------------- the mesh
