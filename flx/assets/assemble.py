@@ -32,7 +32,7 @@ MOST_TILES = 100.0  # how many times the surface may cover its textures
 
 
 class Choice(NamedTuple):
-    """The images of one slot, what goes with them, and which each material in use has."""
+    """The images of one slot, their textures, and the index of the image of each material in use."""
 
     images: list[UInt[Any, "_ _ 3"]]
     textures: list[Texture]
@@ -141,13 +141,12 @@ def _choose_images(
                 what = "a texture" if slot == "base_color" else f"a {slot} map"
                 raise ValueError(f"{part.name!r} has {what} but no texture coordinates; unwrap it first")
     base = list(dict.fromkeys(wanted["base_color"].values()))
-    encoded: dict[str, bytes | Picture] = {
-        name: read_file(override) if override is not None else _encoded(contents, name, len(base) == 1)
-        for name in base
-    }
-    for name in (name for names in wanted.values() for name in names.values()):
-        if name not in encoded:
-            encoded[name] = _encoded(contents, name, False)
+    encoded: dict[str, bytes | Picture] = {}
+    for name in dict.fromkeys(name for names in wanted.values() for name in names.values()):
+        if override is not None and name in base:
+            encoded[name] = read_file(override)
+        else:
+            encoded[name] = _encoded(contents, name, base == [name])
     check_together({name: content for name, content in encoded.items() if isinstance(content, bytes)})
     return {slot: _decoded(contents, encoded, slot, names, used) for slot, names in wanted.items()}
 
@@ -209,7 +208,7 @@ def _encoded(contents: Contents, name: str, replaceable: bool) -> bytes | Pictur
         return contents.load_image(name)
     except FileNotFoundError as fault:
         named = str(fault.filename)
-        where = "beside the mesh" if is_absolute(named) or not re.search(r"[/\\]", named) else "there"
+        where = "next to the mesh" if is_absolute(named) or not re.search(r"[/\\]", named) else "there"
         other = ", or pass --texture" if replaceable else ""
         raise BadFile(f"{quoted(named)} does not exist; put it {where}{other}") from fault
 

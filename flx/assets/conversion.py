@@ -12,7 +12,7 @@ from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.mtl import properties
 from flx.assets.formats.obj_source import ObjSource
 from flx.assets.formats.ply import ASCII
-from flx.assets.write import names_beside
+from flx.assets.write import other_files
 
 MOST = 12  # names listed of one kind
 APPLIED = {"KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp"}
@@ -43,7 +43,7 @@ def dangling(asset: Asset, format: str) -> str:
     """The missing files that the new file will name as the old one does."""
     source, names = asset.container, []
     if _is_kept(asset, format) and isinstance(source, ObjSource):
-        names = [name for name in names_beside(asset, source) if name not in source.maps]
+        names = [name for name in other_files(asset, source) if name not in source.maps]
     elif _is_kept(asset, format) and isinstance(source, Gltf):
         painted = {m for m, paint in enumerate(asset.paints) if _is_image(asset, paint.texture)}
         names = glb.missing_images(source, painted)
@@ -74,7 +74,7 @@ def _of_obj(asset: Asset, source: ObjSource, format: str) -> list[str]:
     """Maps come first: they are missed most."""
     translucent = [p.texture for p in asset.paints if p.alpha_mode != "OPAQUE" and p.texture >= 0]
     kept = {asset.textures[texture].name for texture in translucent}
-    lost = _few(name for name in names_beside(asset, source) if name not in kept)
+    lost = _few(name for name in other_files(asset, source) if name not in kept)
     tinted = any(_is_image(asset, p.texture) and p.color != (1.0, 1.0, 1.0) for p in asset.paints)
     keys = [key for library in source.libraries.values() for key in properties(library)]
     lost += _few(["Kd"] * tinted + keys)

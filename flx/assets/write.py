@@ -74,7 +74,8 @@ def _write_obj(asset: Asset, painting: Painting, path: Path) -> None:
         image = encode_png(painting.images[index], asset.textures[index].alpha)
         write_atomically(path.with_name(file), image)
     if isinstance(asset.container, ObjSource):
-        obj_source.write_painted(asset.container, _painted(asset, files), _fresh_name(asset), path)
+        fresh = _fresh_name(asset, asset.container)
+        obj_source.write_painted(asset.container, _painted(asset, files), fresh, path)
         return
     library, names = [], _words(paint.name for paint in asset.paints)
     for number in sorted({part.material for part in asset.parts}):
@@ -114,17 +115,16 @@ def _painted(asset: Asset, files: dict[int, str]) -> dict[str, str]:
     return {n: files[p.texture] for n, p in zip(names, asset.paints, strict=True) if p.texture in files}
 
 
-def _fresh_name(asset: Asset) -> str:
+def _fresh_name(asset: Asset, source: ObjSource) -> str:
     """A new name for the material of faces that have none."""
     taken, name = {paint.name for paint in asset.paints[:-1]}, _word(asset.path.stem)
-    if isinstance(asset.container, ObjSource):
-        taken |= obj_source.material_names(asset.container)
+    taken |= obj_source.material_names(source)
     while name in taken:
         name += "_"
     return name
 
 
-def names_beside(asset: Asset, source: ObjSource) -> list[str]:
+def other_files(asset: Asset, source: ObjSource) -> list[str]:
     """The files that the libraries of an OBJ name, except the images that are replaced."""
     return obj_source.other_names(source, _painted(asset, _image_files(asset, asset.path)))
 
@@ -145,7 +145,7 @@ def check_room(asset: Asset, path: Path, beside: Sequence[Path] = ()) -> None:
         own += [source.folder / name for name in (*source.libraries, *source.maps)]
         if path.suffix == ".obj":
             files += obj_source.library_files(source, path).values()
-            others = [name for name in names_beside(asset, source) if name in source.maps]
+            others = [name for name in other_files(asset, source) if name in source.maps]
             obj_source.check_maps(source, others, path.parent)
             own += [path.parent / source.maps[name] for name in others]
     taken = {file.resolve() for file in own}

@@ -39,11 +39,11 @@ def inside(folder: Path, name: str) -> Path:
     Raises BadFile for a URL and for a name that leads out of the folder.
     """
     if "://" in name:
-        raise BadFile(f"{name[:80]!r} is a URL, and nothing is fetched; put the file beside the mesh")
+        raise BadFile(f"{name[:80]!r} is a URL, and nothing is fetched; put the file next to the mesh")
     try:
         path = (folder / name.replace("\\", "/")).resolve()
     except (RuntimeError, ValueError) as fault:  # a link to itself, a NUL
-        raise BadFile(f"{name[:80]!r} leads nowhere ({fault}); put the file beside the mesh") from fault
+        raise BadFile(f"{name[:80]!r} leads nowhere ({fault}); put the file next to the mesh") from fault
     if not path.is_relative_to(folder.resolve()):
         raise BadFile(f"{quoted(name)} lies outside {folder}; copy it there, and name it without its folder")
     return path

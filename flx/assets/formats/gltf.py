@@ -47,7 +47,7 @@ class Gltf(NamedTuple):
 
     document: dict
     views: tuple[bytes, ...]
-    substitutions: tuple[str, ...] = ()  # images that were read under another name than the file's
+    substitutions: tuple[str, ...] = ()  # images that were found under another name than the file's
 
 
 # ---------------------------------------------------------------------------------------------- reading
@@ -139,7 +139,7 @@ def append(document: dict, key: str, entry: dict) -> int:
 
 
 def append_view(document: dict, views: list[bytes], content: bytes) -> int:
-    """Adds a buffer view; where it lies in the buffer is settled when the file is written."""
+    """Adds a buffer view; its offset is set when the file is written."""
     views.append(content)
     return append(document, "bufferViews", {"buffer": 0, "byteLength": len(content)})
 
@@ -147,7 +147,7 @@ def append_view(document: dict, views: list[bytes], content: bytes) -> int:
 def accessor(gltf: Gltf, index: int) -> Num[Any, "N C"]:
     """The rows of an accessor in their own dtype, sparse ones filled in; normalised integers as float32.
 
-    Raises BadFile where it has no data, or more rows than bytes are there for.
+    Raises BadFile where it has no data, or more rows than its bytes can hold.
     """
     entry = gltf.document["accessors"][index]
     if not {"type", "count", "componentType"} <= entry.keys() or entry["type"] not in WIDTHS:
@@ -231,7 +231,7 @@ def parts(gltf: Gltf) -> list[Part]:
         faces = _faces(gltf, primitive, len(points))
         material = primitive.get("material", len(materials))
         reference = texture_reference(materials[material]) if "material" in primitive else {}
-        with np.errstate(all="ignore"):  # what is not finite is refused by name, later
+        with np.errstate(all="ignore"):  # numbers that are not finite are refused by name, later
             points = points @ world[:3, :3].T + world[:3, 3]
             mirrored = np.linalg.det(world[:3, :3]) < 0
         part = Part(
@@ -260,7 +260,7 @@ def _check_counts(part: Part) -> None:
 
 
 def _triangles(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"], int, dict]]:
-    """Node, its transform, number and entry of every primitive of triangles that the scene shows."""
+    """Node, its transform, index and entry of every triangle primitive in the scene."""
     for node, world in scene_nodes(document):
         mesh = document["nodes"][node].get("mesh")
         primitives = [] if mesh is None else document["meshes"][mesh].get("primitives", [])
@@ -345,7 +345,7 @@ def _colors(gltf: Gltf, attributes: dict) -> Float32[Any, "V 3"] | None:
 
 
 def texture_key(slot: Slot) -> str:
-    """What glTF calls the texture of a slot: baseColorTexture."""
+    """glTF's key for the texture of a slot, such as baseColorTexture."""
     first, *others = slot.split("_")
     return first + "".join(map(str.title, others)) + "Texture"
 
@@ -359,7 +359,7 @@ def texture_reference(material: dict, slot: Slot = "base_color") -> dict:
 
 
 def texture_image(document: dict, texture: int) -> int:
-    """The image a texture shows: of EXT_texture_webp, else its source; −1 without either."""
+    """The image of a texture: that of EXT_texture_webp, else its source; −1 without either."""
     entry = document["textures"][texture]
     webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
     return webp.get("source", entry.get("source", -1))

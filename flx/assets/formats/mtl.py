@@ -49,7 +49,7 @@ class Statement(NamedTuple):
 
 
 class FileName(NamedTuple):
-    """The file that a statement names after its options, and where the name stands."""
+    """The file that a statement names after its options, and the place of the name in the content."""
 
     name: str
     options: dict[str, tuple[str, ...]]
@@ -73,7 +73,7 @@ class Mapped(NamedTuple):
 
 
 def statements(content: bytes) -> Iterator[Statement]:
-    """Every statement of a library; comments and empty lines are passed over."""
+    """Every statement of a library, without comments and empty lines."""
     for match in STATEMENT.finditer(content):
         value = match["value"].rstrip()
         start, key = match.start("value"), match["key"].decode(errors="replace").lower()
@@ -90,7 +90,7 @@ def _text(value: bytes) -> str:
 
 
 def file_name(statement: Statement) -> FileName | None:
-    """The file that a map names: all after the last option, for a name may hold spaces. None without one."""
+    """The file that a map names: everything after the last option, since names may have spaces; or None."""
     if statement.key in NO_FILE or not (statement.key in MAPS or statement.key.startswith("map_")):
         return None
     words = list(WORD.finditer(statement.value))
@@ -177,7 +177,7 @@ def _pair(words: tuple[str, ...], default: float) -> tuple[float, float]:
 
 
 def files_named(content: bytes) -> list[str]:
-    """Every file that the maps of a library name, as it names them."""
+    """Every file that the maps of a library name."""
     names = dict.fromkeys(file.name for file in map(file_name, statements(content)) if file)
     if len(names) > MOST_MAPS:
         raise BadFile(f"{len(names):,} maps, more than {MOST_MAPS:,}; leave some out")
@@ -197,30 +197,22 @@ def renamed(content: bytes, names: Mapping[str, str]) -> bytes:
 
 
 def repainted(content: bytes, images: Mapping[str, str]) -> bytes:
-    """The library with other images: map_Kd of material m names `images[m]`, added where m has none."""
-    edits: list[tuple[int, int, bytes]] = []
-    new = added = b""
-    heading = 0  # the end of the line of newmtl
-
-    def close() -> None:
-        if added:
-            edits.append((heading, heading, added))
-
+    """The library with other images: map_Kd of material m names `images[m]`; it is added where m has none."""
+    edits: dict[int, tuple[int, int, bytes]] = {}
+    new, heading = b"", 0  # the image of the current material, and the end of the line of its newmtl
     for statement in statements(content):
         if statement.key == "newmtl":
-            close()
-            new = images.get(material_name(statement), "").encode()
-            heading = statement.stop
-            added = line_end(content) + b"map_Kd " + new if new else b""
+            new, heading = images.get(material_name(statement), "").encode(), statement.stop
+            if new:
+                edits[heading] = (heading, heading, line_end(content) + b"map_Kd " + new)
         elif statement.key == "map_kd" and new and (file := file_name(statement)):
-            edits.append((file.start, file.end, new))
-            added = b""
-    close()
-    return edited(content, sorted(edits))
+            edits.pop(heading, None)
+            edits[file.start] = (file.start, file.end, new)
+    return edited(content, (edits[start] for start in sorted(edits)))
 
 
 def edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:
-    """The bytes with some of them exchanged: (start, end, new), in order."""
+    """The bytes with some replaced: (start, end, new), in ascending order."""
     pieces, at = [], 0
     for start, end, new in edits:
         pieces += [content[at:start], new]
@@ -229,6 +221,6 @@ def edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:
 
 
 def line_end(content: bytes) -> bytes:
-    """How the lines of a file end."""
+    """The line end of a file: that of its first line."""
     first = LINE_END.search(content)
     return first[0] if first else b"\n"
