@@ -1,4 +1,4 @@
-"""Assets from arrays and from trimesh, and back: judged, repaired and written as files are."""
+"""Assets from arrays and from trimesh, and back: checked, repaired and written as files are."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,16 +12,16 @@ from flx.assets.assemble import FARTHEST, assemble, faults_of
 from flx.assets.asset import Asset, Painting, own_painting
 from flx.assets.formats.files import read_file
 from flx.assets.formats.images import open_image
-from flx.assets.formats.obj import unmerge
-from flx.assets.formats.parts import Material, Part
+from flx.assets.formats.obj import split_corners
+from flx.assets.formats.parts import Material, Part, stacked
 from flx.assets.formats.readers import Contents
-from flx.geometry.arrays import distinct_rows
 from flx.geometry.color import quantized
 
 if TYPE_CHECKING:
     import trimesh
 
-IMAGE = "base color"  # what the image of such an asset is called
+Shape = tuple[int | str, ...]  # lengths: a number, "N" for any, or "3 or 4"
+IMAGE = "base color"  # the name of the image of an asset from arrays
 
 
 def from_arrays(
@@ -47,19 +47,18 @@ def from_arrays(
     Example:
         asset = flx.from_arrays(vertices, faces, uvs, image=np.asarray(Image.open("bowl.png")))
     """
-    points, triangles = _numbers(vertices, "vertices", (None, 3)), _faces(faces)
+    points, triangles = _numbers(vertices, "vertices", ("N", 3)), _faces(faces)
     if not len(triangles) or not len(points):
         raise ValueError(f"{len(points)} vertices and {len(triangles)} faces; give at least one triangle")
     _check_rows(points, "vertices")
     if not 0 <= triangles.min() <= triangles.max() < len(points):
         face = int(((triangles < 0) | (triangles >= len(points))).any(1).argmax())
-        raise ValueError(
-            f"faces[{face}] is {triangles[face].tolist()}, but there are {len(points)} vertices, from 0"
-        )
-    tint = None if colors is None else _colors(colors, "colors", (len(points), -1))
+        wanted = f"there are {len(points)} vertices, counted from 0"
+        raise ValueError(f"faces[{face}] is {triangles[face].tolist()}, but {wanted}")
+    tint = None if colors is None else _colors(colors, "colors", (len(points), "3 or 4"))
     if tint is not None:
         tint = (tint / (255 if tint.dtype == np.uint8 else 1)).astype(np.float32)[:, :3]
-    picture = None if image is None else _colors(image, "image", (None, None, -1))
+    picture = None if image is None else _colors(image, "image", ("N", "N", "3 or 4"))
     if (picture is None) != (uvs is None) or (picture is None and tint is None):
         raise ValueError("give an image together with uvs, or colors")
     rows, coordinates, corners = np.arange(len(points)), None, triangles
@@ -71,50 +70,41 @@ def from_arrays(
         if per_corner:
             rows, coordinates, corners = split_corners(triangles, coordinates)
     content = quantized(picture) if picture is not None and picture.dtype != np.uint8 else picture
-    white = Material("material", (1.0, 1.0, 1.0), None if content is None else IMAGE)
+    white = Material("material", image=None if content is None else IMAGE)
     if content is not None and content.shape[2] == 4:
         white = white._replace(opacity_image=IMAGE)
     part = Part(name, 0, points[rows], None, coordinates, None if tint is None else tint[rows], corners)
     with faults_of(Path(name)):
-        contents = Contents([part], [white], lambda _: content, "", None, ())  # pyright: ignore
+        contents = Contents([part], [white], lambda _: content)  # pyright: ignore
         return assemble(Path(name), contents, format="arrays")
 
 
-def split_corners(
-    faces: Int[Any, "F 3"], uvs: Float64[Any, "F 3 2"]
-) -> tuple[Int[Any, "R"], Float64[Any, "R 2"], Int[Any, "F 3"]]:
-    """A row for each vertex and coordinate that occur together: its vertex, its coordinate, and the faces."""
-    first, which = distinct_rows(uvs.reshape(-1, 2))
-    rows, split = unmerge(np.stack([faces.ravel(), which], 1))
-    return rows[:, 0], uvs.reshape(-1, 2)[first][rows[:, 1]], split
-
-
-def _numbers(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Float64[Any, "..."]:
-    """As float64, of a shape in which None is any length and -1 is 3 or 4."""
+def _numbers(values: ArrayLike, what: str, shape: Shape) -> Float64[Any, "..."]:
+    """The values as float64, in this shape."""
     try:
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError) as fault:
-        raise ValueError(f"{what} is no array of numbers ({fault}); give {_words(shape)}") from None
+        raise ValueError(f"{what} is not an array of numbers ({fault}); give {_words(shape)}") from None
     _check_shape(array, what, shape)
     return array
 
 
-def _check_shape(array: Num[Any, "..."], what: str, shape: tuple[int | None, ...]) -> None:
-    sides = [{None: range(1 << 62), -1: (3, 4)}.get(side, (side,)) for side in shape]
-    if array.ndim != len(shape) or any(n not in side for n, side in zip(array.shape, sides, strict=True)):
+def _check_shape(array: Num[Any, "..."], what: str, shape: Shape) -> None:
+    pairs = zip(array.shape, map(str, shape), strict=False)
+    if array.ndim != len(shape) or not all(w == "N" or str(n) in w.split(" or ") for n, w in pairs):
         raise ValueError(f"{what} has shape {list(array.shape)}; give {_words(shape)}")
 
 
-def _words(shape: tuple[int | None, ...]) -> str:
-    return f"[{', '.join({None: 'N', -1: '3 or 4'}.get(side, str(side)) for side in shape)}]"
+def _words(shape: Shape) -> str:
+    return f"[{', '.join(map(str, shape))}]"
 
 
 def _faces(faces: ArrayLike) -> Int[Any, "F 3"]:
-    numbers = _numbers(faces, "faces", (None, 3)) if len(np.shape(faces)) != 1 else np.zeros((0, 3))
+    numbers = _numbers(faces, "faces", ("N", 3)) if len(np.shape(faces)) != 1 else np.zeros((0, 3))
     whole = numbers.astype(np.int64)
     if (whole != numbers).any():
         face = int((whole != numbers).any(1).argmax())
-        raise ValueError(f"faces[{face}] is {numbers[face].tolist()}; give numbers of vertices, from 0")
+        raise ValueError(f"faces[{face}] is {numbers[face].tolist()}; give indices of vertices, from 0")
     return whole
 
 
@@ -125,8 +115,8 @@ def _check_rows(rows: Float64[Any, "..."], what: str) -> None:
         raise ValueError(f"{what}[{row}] is {rows[row].tolist()}; give finite numbers below {FARTHEST:g}")
 
 
-def _colors(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Num[Any, "..."]:
-    """uint8 as it is, or numbers in [0, 1]."""
+def _colors(values: ArrayLike, what: str, shape: Shape) -> Num[Any, "..."]:
+    """uint8 unchanged, or float64 in [0, 1]."""
     given = np.asarray(values) if isinstance(values, np.ndarray) else _numbers(values, what, shape)
     _check_shape(given, what, shape)
     if not given.size:
@@ -187,9 +177,8 @@ def to_trimesh(asset: Asset, painting: Painting | None = None) -> "trimesh.Trime
 
     if len(asset.textures) > 1:
         raise ValueError(f"{asset.path} has {len(asset.textures)} textures, a Trimesh one; write a GLB")
-    starts = np.cumsum([0, *(len(part.positions) for part in asset.parts)])
-    faces = np.concatenate([part.faces + s for part, s in zip(asset.parts, starts, strict=False)])
-    mesh = trimesh.Trimesh(np.concatenate([p.positions for p in asset.parts]), faces, process=False)
+    points, faces = stacked(asset.parts)
+    mesh = trimesh.Trimesh(points, np.concatenate(faces), process=False)
     painting = own_painting(asset) if painting is None else painting
     if not asset.textures:
         mesh.visual = ColorVisuals(mesh, vertex_colors=quantized(painting.colors))
@@ -204,17 +193,10 @@ def to_trimesh(asset: Asset, painting: Painting | None = None) -> "trimesh.Trime
 
 
 def sheet_asset(image: Path) -> Asset:
-    """A rectangle of the image's proportions that shows the whole of it.
-
-    Raises ValueError where the image cannot be read.
-    """
+    """A rectangle that shows the whole image in its proportions. Raises ValueError for an unreadable one."""
     with faults_of(image):
         width, height = open_image(read_file(image), image.name).size
         uvs = np.array([(0, 1), (1, 1), (1, 0), (0, 0)], np.float64)
         points = np.array([(u * width / height, 1 - v, 0) for u, v in uvs])
         part = Part(image.stem, 0, points, None, uvs, None, np.array([(0, 1, 2), (0, 2, 3)]))
-        white = Material(image.stem, (1.0, 1.0, 1.0), None)
-        contents = Contents(
-            [part], [white], load_image=lambda _: b"", hint="", container=None, missing_images=()
-        )
-        return assemble(image, contents, image)
+        return assemble(image, Contents([part], [Material(image.stem)], lambda _: b""), image)

@@ -1,10 +1,10 @@
-"""From what a reader found, or arrays held, to an `Asset`: judged, repaired, its images decoded.
+"""Makes an `Asset` of the contents of a file or of arrays: checks, repairs, decodes images.
 
-`flx.geometry.repair` makes a manifold of the mesh and counts what it does. Original rows are kept in
-`Asset.parts`: what is written is the file's own geometry, never the repaired one.
+`flx.geometry.repair` makes the mesh a manifold and counts its changes. The original rows stay in
+`Asset.parts`: the file's own geometry is written, never the repaired one.
 
 Texture coordinates run right and down. Base colours become 8-bit RGB, other maps keep 16 bits; alpha is kept
-aside for the output. Factors that multiply a texture are ignored, and left as they are.
+aside for the output. Factors that multiply a texture are ignored, and kept as they are.
 """
 
 import hashlib
@@ -15,24 +15,24 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int, UInt
+from jaxtyping import Float32, Float64, Int, UInt
 
 from flx.assets.asset import Asset, Report, Texture
 from flx.assets.formats.files import BadFile, is_absolute, quoted, read_file
-from flx.assets.formats.images import check_together, decode_image, decode_map, original_kind
-from flx.assets.formats.parts import Material, Paint, Part
+from flx.assets.formats.images import check_together, decode_image, decode_map, original_kind, split_alpha
+from flx.assets.formats.parts import Material, Paint, Part, stacked
 from flx.assets.formats.readers import Contents, Picture
 from flx.geometry.arrays import face_areas
 from flx.geometry.atlas import uv_areas
 from flx.geometry.repair import Repaired, repair
 from flx.types import Layer, Slot, TexturedMesh
 
-FARTHEST = 1e30  # coordinates whose cubes are still numbers
-MOST_TILES = 100.0  # textures that the surface may cover, its repetitions counted
+FARTHEST = 1e30  # the largest coordinate: its cube is still finite
+MOST_TILES = 100.0  # how many times the surface may cover its textures
 
 
 class Choice(NamedTuple):
-    """The images of one slot, what goes with them, and which each material in use has."""
+    """The images of one slot, their textures, and the index of the image of each material in use."""
 
     images: list[UInt[Any, "_ _ 3"]]
     textures: list[Texture]
@@ -46,16 +46,15 @@ def assemble(
     slots: Sequence[Slot] = ("base_color",),
     format: str = "",
 ) -> Asset:
-    """Parts stacked, repaired, and their corners coloured; `path` is the file, or what the asset is called.
+    """Stacks the parts, repairs the mesh, colours its corners; `path` is the file, or the asset's name.
 
-    Raises BadFile, ValueError or OSError as `flx.assets.read.read_asset` does, which words them.
+    Raises BadFile, ValueError or OSError; `faults_of` adds the path to their messages.
     """
     parts = [part for part in contents.parts if len(part.faces)]
     _check(parts)
     choices = _choose_images(contents, parts, texture, slots)
-    offsets = np.cumsum([0, *(len(part.positions) for part in parts)])
-    faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=False)])
-    points = np.concatenate([part.positions for part in parts])
+    points, part_faces = stacked(parts)
+    faces = np.concatenate(part_faces)
     fixed = repair(points, faces)
     corners = faces[fixed.sources]
     materials = np.repeat([part.material for part in parts], [len(part.faces) for part in parts])
@@ -64,13 +63,13 @@ def assemble(
         slot: _layer(contents, parts, slot, choice, corners, materials[fixed.sources])
         for slot, choice in choices.items()
     }
-    plain = not choices["base_color"].images
-    corner_colors = colors[corners] if plain else np.zeros((len(corners), 3, 3), np.float32)
+    has_images = bool(choices["base_color"].images)
+    corner_colors = np.zeros((len(corners), 3, 3), np.float32) if has_images else colors[corners]
     mesh = TexturedMesh(fixed.vertices, fixed.faces, maps, corner_colors)
     _check_measures(mesh)
     names: dict[Slot, dict[str, None]] = {}
-    for material in (contents.materials[m] for m in sorted({part.material for part in parts})):
-        for slot, name in material.maps.items():
+    for material in sorted({part.material for part in parts}):
+        for slot, name in contents.materials[material].maps.items():
             names.setdefault(slot, {})[name] = None
     return Asset(
         path=path,
@@ -88,15 +87,14 @@ def assemble(
 
 @contextmanager
 def faults_of(path: Path) -> Iterator[None]:
-    """Whatever is wrong inside becomes one ValueError that begins with the path."""
+    """Turns any fault of the asset into one ValueError that begins with the path."""
     try:
         yield
     except FileNotFoundError as fault:
         raise ValueError(f"{path}: {fault.filename} does not exist; put it there") from fault
     except OSError as fault:
-        raise ValueError(
-            f"{path}: {str(fault.filename)[:80]} cannot be read ({fault.strerror}); make it readable"
-        ) from fault
+        what = f"{str(fault.filename)[:80]} cannot be read ({fault.strerror})"
+        raise ValueError(f"{path}: {what}; make it readable") from fault
     except ValueError as fault:
         raise ValueError(f"{path}: {fault}") from fault
 
@@ -108,18 +106,14 @@ def _check(parts: Sequence[Part]) -> None:
     for part in parts:
         if not 0 <= part.faces.min() <= part.faces.max() < len(part.positions):
             worst = part.faces.max() if part.faces.min() >= 0 else part.faces.min()
-            raise ValueError(
-                f"a face of {part.name!r} names vertex {worst} of {len(part.positions)}; export it again"
-            )
-        for rows, what in (
-            (part.positions, "vertex"),
-            (part.uvs, "the texture coordinate of vertex"),
-            (part.colors, "the colour of vertex"),
-        ):
-            _check_finite(part, rows, what)
+            names = f"names vertex {worst} of {len(part.positions)}"
+            raise ValueError(f"a face of {part.name!r} {names}; export it again")
+        _check_finite(part, part.positions, "vertex")
+        _check_finite(part, part.uvs, "the texture coordinate of vertex")
+        _check_finite(part, part.colors, "the colour of vertex")
 
 
-def _check_finite(part: Part, rows: Float64[Any, "V C"] | Any, what: str) -> None:
+def _check_finite(part: Part, rows: Float64[Any, "V C"] | Float32[Any, "V C"] | None, what: str) -> None:
     if rows is None:
         return
     used = np.zeros(len(rows), bool)
@@ -137,37 +131,34 @@ def _check_finite(part: Part, rows: Float64[Any, "V C"] | Any, what: str) -> Non
 def _choose_images(
     contents: Contents, parts: Sequence[Part], override: Path | None, slots: Sequence[Slot]
 ) -> dict[Slot, Choice]:
-    """The images of base colours and of the slots asked for, bounded together before any is decoded."""
+    """The images of base colours and of these slots; their total size is checked before any is decoded."""
     used = sorted({part.material for part in parts})
     wanted: dict[Slot, dict[int, str]] = {"base_color": _wanted_colors(contents, used, override)}
-    for slot in slots:
-        if slot not in wanted:
-            wanted[slot] = _wanted_maps(contents, used, slot)
+    wanted |= {slot: _wanted_maps(contents, used, slot) for slot in slots if slot != "base_color"}
     for part in parts:
         for slot, names in wanted.items():
-            if part.material in names and _uvs(contents, part, slot) is None:
+            if part.material in names and contents.slot_uvs(part, slot) is None:
                 what = "a texture" if slot == "base_color" else f"a {slot} map"
                 raise ValueError(f"{part.name!r} has {what} but no texture coordinates; unwrap it first")
     base = list(dict.fromkeys(wanted["base_color"].values()))
-    encoded: dict[str, bytes | Picture] = {
-        name: read_file(override) if override is not None else _encoded(contents, name, len(base) == 1)
-        for name in base
-    }
-    for name in (name for slot in wanted if slot != "base_color" for name in wanted[slot].values()):
-        if name not in encoded:
-            encoded[name] = _encoded(contents, name, False)
+    encoded: dict[str, bytes | Picture] = {}
+    for name in dict.fromkeys(name for names in wanted.values() for name in names.values()):
+        if override is not None and name in base:
+            encoded[name] = read_file(override)
+        else:
+            encoded[name] = _encoded(contents, name, base == [name])
     check_together({name: content for name, content in encoded.items() if isinstance(content, bytes)})
     return {slot: _decoded(contents, encoded, slot, names, used) for slot, names in wanted.items()}
 
 
 def _wanted_colors(contents: Contents, used: Sequence[int], override: Path | None) -> dict[int, str]:
-    """The base colour image of each material that has one; none: vertex colours."""
+    """The base colour image of each material that has one; empty for vertex colours."""
     wanted = {m: name for m in used if (name := contents.materials[m].image) is not None}
-    if override is not None:
-        if (count := len(set(wanted.values()))) > 1:
-            raise ValueError(f"{count} base colour images, --texture replaces one; edit the materials")
-        return dict.fromkeys(wanted or used, str(override))
-    return wanted
+    if override is None:
+        return wanted
+    if (count := len(set(wanted.values()))) > 1:
+        raise ValueError(f"{count} base colour images, --texture replaces one; edit the materials")
+    return dict.fromkeys(wanted or used, str(override))
 
 
 def _wanted_maps(contents: Contents, used: Sequence[int], slot: Slot) -> dict[int, str]:
@@ -186,7 +177,7 @@ def _decoded(
     wanted: dict[int, str],
     used: Sequence[int],
 ) -> Choice:
-    """Decoded images, and a small one for each material that has a flat value instead."""
+    """The decoded images, and a small one for each material that has a flat value instead."""
     if not wanted and any(part.colors is not None for part in contents.parts):
         return Choice([], [], {})
     if not wanted:
@@ -195,8 +186,7 @@ def _decoded(
     for name in names:
         content, kind = encoded[name], ""
         if not isinstance(content, bytes):
-            image, alpha = content[..., :3].copy(), content[..., 3] if content.shape[2] == 4 else None
-            alpha = None if alpha is None or (alpha == 255).all() else alpha
+            image, alpha = split_alpha(content)
         elif slot == "base_color":
             (image, alpha), kind = decode_image(content, name), original_kind(content, name)
         else:
@@ -204,22 +194,21 @@ def _decoded(
         images.append(image)
         textures.append(Texture(name, alpha, flat=False, made_from=kind))
     image_of = {m: names.index(name) for m, name in wanted.items()}
-    for material in used:
-        if material not in image_of:
-            image_of[material] = len(images)
-            value = np.nan_to_num(contents.materials[material].flat_value(slot)).clip(0, 1)
-            images.append(np.tile(np.rint(255 * value).astype(np.uint8), (4, 4, 1)))
-            textures.append(Texture(contents.materials[material].name, None, flat=True))
+    for material in (m for m in used if m not in wanted):
+        image_of[material] = len(images)
+        value = np.nan_to_num(contents.materials[material].flat_value(slot)).clip(0, 1)
+        images.append(np.tile(np.rint(255 * value).astype(np.uint8), (4, 4, 1)))
+        textures.append(Texture(contents.materials[material].name, None, flat=True))
     return Choice(images, textures, image_of)
 
 
 def _encoded(contents: Contents, name: str, replaceable: bool) -> bytes | Picture:
-    """An image. --texture is advised where it helps: it takes the place of one base colour image alone."""
+    """The image's file. The error suggests --texture only for a `replaceable` image, a single base colour."""
     try:
         return contents.load_image(name)
     except FileNotFoundError as fault:
         named = str(fault.filename)
-        where = "beside the mesh" if is_absolute(named) or not re.search(r"[/\\]", named) else "there"
+        where = "next to the mesh" if is_absolute(named) or not re.search(r"[/\\]", named) else "there"
         other = ", or pass --texture" if replaceable else ""
         raise BadFile(f"{quoted(named)} does not exist; put it {where}{other}") from fault
 
@@ -237,18 +226,12 @@ def _layer(
 ) -> Layer:
     """The images of a slot, and where the corners of repaired faces read them."""
     image_of = np.array([choice.image_of.get(m, 0) for m in range(len(contents.materials))])
-    if not choice.images:
-        return Layer((), image_of[materials], np.zeros((len(corners), 3, 2)))
     rows = []
     for part in parts:
-        uvs = _uvs(contents, part, slot)
+        uvs = contents.slot_uvs(part, slot) if choice.images else None
         _check_finite(part, uvs, f"the {slot} coordinate of vertex")
         rows.append(np.zeros((len(part.positions), 2)) if uvs is None else uvs)
     return Layer(tuple(choice.images), image_of[materials], np.concatenate(rows)[corners])
-
-
-def _uvs(contents: Contents, part: Part, slot: Slot) -> Float64[Any, "V 2"] | None:
-    return part.uvs if slot == "base_color" else contents.slot_uvs(part, slot)
 
 
 def _colors(part: Part, material: Material) -> Any:
@@ -258,7 +241,7 @@ def _colors(part: Part, material: Material) -> Any:
 
 
 def _paint(material: Material, index: int, choices: dict[Slot, Choice]) -> Paint:
-    """Alpha counts where the material says so: an image may hold alpha that nobody meant."""
+    """How a material looks. Alpha counts only where the material says so: an image may hold stray alpha."""
     images: dict[Slot, int] = {
         slot: choice.image_of[index] for slot, choice in choices.items() if index in choice.image_of
     }
@@ -270,18 +253,17 @@ def _paint(material: Material, index: int, choices: dict[Slot, Choice]) -> Paint
 
 
 def _check_measures(mesh: TexturedMesh) -> None:
-    """The surface has an area, and shows each texel so often at most that it can be painted."""
+    """Raises ValueError for a surface without area, and for one that repeats its textures too often."""
     if not face_areas(mesh.vertices, mesh.faces).max() > 0:
         raise ValueError("every face has zero area; export it again, or scale it up")
     tiles = max(np.abs(uv_areas(mesh, slot)).sum() for slot in mesh.maps)
     if tiles > MOST_TILES:
-        raise ValueError(
-            f"the surface covers its textures {tiles:.0f} times, more than {MOST_TILES:.0f}; unwrap it anew"
-        )
+        times = f"{tiles:.0f} times, more than {MOST_TILES:.0f}"
+        raise ValueError(f"the surface covers its textures {times}; unwrap it anew")
 
 
 def _digest(mesh: TexturedMesh) -> str:
-    """The content of the mesh: what prepared tables and runs depend on, wherever the file lies."""
+    """A digest of the mesh, on which prepared tables and runs depend, independent of the file's place."""
     digest = hashlib.sha256()
 
     def add(*arrays: np.ndarray) -> None:

@@ -14,16 +14,16 @@ from flx.types import Slot, TexturedMesh
 
 
 class Texture(NamedTuple):
-    """What an RGB image of the mesh leaves out."""
+    """What belongs to an image of the mesh in addition to its RGB pixels."""
 
     name: str
     alpha: UInt8[Any, "H W"] | None
     flat: bool  # made from a material's colour: never replaced
-    made_from: str = ""  # what it was, if not RGB of 8 bits: "16-bit grey"
+    made_from: str = ""  # its original kind, unless 8-bit RGB: "16-bit grey"
 
 
 class Report(NamedTuple):
-    """What was in the file and what was repaired. Plain numbers and words, for JSON (`_asdict`)."""
+    """The contents of the file and its repairs, in plain numbers and words for JSON (`_asdict`)."""
 
     path: str
     format: str
@@ -52,31 +52,29 @@ class Report(NamedTuple):
     outside_uv_faces: int  # a corner outside [0, 1]: the texture repeats there
     color_source: str  # "texture" or "vertex colours"
     textures: tuple[str, ...]
-    missing_images: tuple[str, ...]  # of other maps, or not to be copied; the reference is kept as it is
+    missing_images: tuple[str, ...]  # missing or not copied; the file's reference is kept as it is
     ignored_options: tuple[str, ...]  # of map_Kd; kept as they are
-    found_images: tuple[str, ...]  # which the file names otherwise: by another machine's path, or capitals
-    unread: tuple[str, ...]  # of a PLY: properties, elements, comments that flx makes nothing of
+    found_images: tuple[str, ...]  # found under another name: the file has another path or capitalisation
+    unread: tuple[str, ...]  # properties, elements and comments of a PLY that flx does not use
 
 
 class Asset(NamedTuple):
-    """A mesh to work on, and all that is needed to give the file back with other maps."""
+    """A mesh to work on, and everything needed to write its file again with other maps."""
 
     path: Path
     mesh: TexturedMesh
     report: Report
     parts: tuple[Part, ...]
     paints: tuple[Paint, ...]  # by `Part.material`
-    sources: Mapping[Slot, tuple[Texture, ...]]  # beside the images of `mesh.maps`
-    map_names: Mapping[
-        Slot, tuple[str, ...]
-    ]  # what the file calls the images of its other slots, read or not
+    sources: Mapping[Slot, tuple[Texture, ...]]  # one for each image of `mesh.maps`
+    map_names: Mapping[Slot, tuple[str, ...]]  # the file's names of images in other slots, read or not
     corner_vertices: Int[Any, "F 3"]  # the original vertex of each corner, counted through the parts
     container: Gltf | ObjSource | None  # the file, if it was GLB, glTF or OBJ
     digest: str  # SHA-256 of geometry and colours, and of other maps that were read
 
     @property
     def textures(self) -> tuple[Texture, ...]:
-        """Beside `mesh.textures`, the base colour images."""
+        """One for each of `mesh.textures`, the base colour images."""
         return self.sources["base_color"]
 
 
@@ -85,9 +83,9 @@ Images = Sequence[UInt[Any, "_ _ 3"]]
 
 
 class Painting(NamedTuple):
-    """New maps of an asset: images, of 8 or 16 bits, for each of its own in some slots; or vertex colours.
+    """New maps of an asset: an image of 8 or 16 bits for each of its own in some slots; or vertex colours.
 
-    Slots that are left out keep what they have.
+    Slots that are left out keep their images.
     """
 
     maps: Mapping[Slot, Images]

@@ -1,7 +1,6 @@
-"""What a file has that one of another format will not have, in words.
+"""Lists what a file of another format cannot hold, in the words of the format it comes from.
 
-The formats' own words, so that a user finds them in his file. Nothing is said of what keeps its meaning:
-transforms of nodes are applied, and what flx writes is as opaque and as smooth as what it read.
+Nothing is listed that keeps its meaning: node transforms are applied, and opacity and smoothness are kept.
 """
 
 import json
@@ -13,18 +12,18 @@ from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.mtl import properties
 from flx.assets.formats.obj_source import ObjSource
 from flx.assets.formats.ply import ASCII
-from flx.assets.write import names_beside
+from flx.assets.write import other_files
 
-MOST = 12  # things named of one kind
+MOST = 12  # names listed of one kind
 APPLIED = {"KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp"}
 WRITTEN = {"POSITION", "NORMAL", "TEXCOORD_0", "COLOR_0"}
-USUAL = {"metallicFactor": 0, "roughnessFactor": 1}  # what an MTL means that says nothing of it
+USUAL = {"metallicFactor": 0, "roughnessFactor": 1}  # as an MTL without these is understood
 
 
 def left_behind(asset: Asset, format: str) -> str:
-    """All that stays behind where the asset is written in a format, in one line. Empty: nothing."""
+    """What is lost when the asset is written in a format, in one line; "" for nothing."""
     source = asset.container
-    if is_kept(asset, format):
+    if _is_kept(asset, format):
         return ""
     lost = _counted({"polygon": asset.report.polygons})
     if isinstance(source, Gltf):
@@ -41,20 +40,18 @@ def left_behind(asset: Asset, format: str) -> str:
 
 
 def dangling(asset: Asset, format: str) -> str:
-    """The files which are not there and that the new file will name like the old one does."""
-    source = asset.container
-    if not is_kept(asset, format):
-        return ""
-    if isinstance(source, ObjSource):
-        return ", ".join(_few(name for name in names_beside(asset, source) if name not in source.maps))
-    if isinstance(source, Gltf):
-        painted = [m for m, paint in enumerate(asset.paints) if _is_image(asset, paint.texture)]
-        return ", ".join(_few(glb.missing_images(source, painted)))
-    return ""
+    """The missing files that the new file will name as the old one does."""
+    source, names = asset.container, []
+    if _is_kept(asset, format) and isinstance(source, ObjSource):
+        names = [name for name in other_files(asset, source) if name not in source.maps]
+    elif _is_kept(asset, format) and isinstance(source, Gltf):
+        painted = {m for m, paint in enumerate(asset.paints) if _is_image(asset, paint.texture)}
+        names = glb.missing_images(source, painted)
+    return ", ".join(_few(names))
 
 
-def is_kept(asset: Asset, format: str) -> bool:
-    """Whether the file goes out as it came in, but for its colours."""
+def _is_kept(asset: Asset, format: str) -> bool:
+    """Whether the file is written as it was read, except for its colours."""
     kinds = {"glb": Gltf, "obj": ObjSource}
     return format in kinds and isinstance(asset.container, kinds[format])
 
@@ -64,7 +61,7 @@ def _is_image(asset: Asset, texture: int) -> bool:
 
 
 def _few(names: Iterable[str]) -> list[str]:
-    """The first names of one kind, and how many more; each in one line, whatever it is."""
+    """The first names of one kind, each on one line, and how many more there are."""
     words = list(dict.fromkeys(" ".join(name.split())[:80] for name in names))
     return [*words[:MOST], f"{len(words) - MOST:,} more"] if len(words) > MOST + 1 else words
 
@@ -74,18 +71,17 @@ def _counted(counts: Mapping[str, int]) -> list[str]:
 
 
 def _of_obj(asset: Asset, source: ObjSource, format: str) -> list[str]:
-    """Maps first: they are what is missed most."""
-    see_through = {
-        asset.textures[p.texture].name for p in asset.paints if p.alpha_mode != "OPAQUE" and p.texture >= 0
-    }
-    lost = _few(name for name in names_beside(asset, source) if name not in see_through)
+    """Maps come first: they are missed most."""
+    translucent = [p.texture for p in asset.paints if p.alpha_mode != "OPAQUE" and p.texture >= 0]
+    kept = {asset.textures[texture].name for texture in translucent}
+    lost = _few(name for name in other_files(asset, source) if name not in kept)
     tinted = any(_is_image(asset, p.texture) and p.color != (1.0, 1.0, 1.0) for p in asset.paints)
     keys = [key for library in source.libraries.values() for key in properties(library)]
     lost += _few(["Kd"] * tinted + keys)
     lost += _few(asset.report.ignored_options)
     counts = obj_source.structure(source)
-    if format == "glb" and counts["object"] == 1:  # it gives the mesh its name
-        counts["object"] = 0
+    if format == "glb" and counts["object"] == 1:
+        counts["object"] = 0  # its name becomes that of the mesh
     return lost + _counted(counts) + ["lines and points"] * obj_source.has_lines(source)
 
 
@@ -110,7 +106,7 @@ def _of_gltf(asset: Asset, source: Gltf) -> list[str]:
 
 
 def _material_words(materials: list[dict]) -> list[str]:
-    """What materials say besides their base colour's image or flat colour."""
+    """The properties of materials other than the image or flat value of the base colour."""
     lost = []
     for material in materials:
         pbr = material.get("pbrMetallicRoughness", {})

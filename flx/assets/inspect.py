@@ -1,9 +1,9 @@
-"""What a closer look at an asset shows: other maps, overlapping charts, parts inside out, pixels a ring."""
+"""A closer look at an asset: other maps, overlapping charts, inside-out parts, pixels in a one-ring."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from flx.assets.asset import Asset
 from flx.assets.formats import gltf
@@ -17,44 +17,40 @@ from flx.geometry.raster import barycentric_planes, pixels_inside
 from flx.geometry.topology import edges_of, label_components
 from flx.types import Slot
 
-RASTER = 1024  # pixels on the longer side on which texels are counted
-
-MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, its repetitions counted
-
-WITHIN = 1e-6  # least barycentric of a pixel that is one face's own: neighbours share those on their edge
+RASTER = 1024  # pixels on the longer side of the raster in which texels are counted
+MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, counting repetitions
+WITHIN = 1e-6  # least barycentric of a pixel inside a face; neighbours share those on their edge
 
 
 class OtherMap(NamedTuple):
-    """An image that a file has besides base colours. 0 × 0: it is not there, or cannot be read."""
+    """An image of another slot than the base colour; 0 × 0 if it is missing or cannot be read."""
 
     slot: Slot
     name: str
     width: int
     height: int
-    bits: int  # a channel
+    bits: int  # per channel
 
 
 def other_maps(asset: Asset) -> list[OtherMap]:
-    """The maps of other slots that the file has, whether they were read or not; none is decoded."""
-    maps: list[OtherMap] = []
-    pairs: list[tuple[Slot, str]] = [
-        (slot, name) for slot, names in asset.map_names.items() for name in names
-    ]
-    for slot, name in pairs:
-        try:
-            if isinstance(asset.container, Gltf):
-                content = gltf.image_bytes(asset.container, int(name.rpartition("#")[2]))
-            else:
-                content = load_beside(asset.path.parent, name)
-            image = open_image(content, name)
-            maps.append(OtherMap(slot, name, image.width, image.height, bits_of(image)))
-        except (BadFile, OSError):
-            maps.append(OtherMap(slot, name, 0, 0, 0))
-    return maps
+    """The maps of other slots in the file, read or not; none is decoded."""
+    return [_other_map(asset, slot, name) for slot, names in asset.map_names.items() for name in names]
+
+
+def _other_map(asset: Asset, slot: Slot, name: str) -> OtherMap:
+    try:
+        if isinstance(asset.container, Gltf):
+            content = gltf.image_bytes(asset.container, int(name.rpartition("#")[2]))
+        else:
+            content = load_beside(asset.path.parent, name)
+        image = open_image(content, name)
+        return OtherMap(slot, name, image.width, image.height, bits_of(image))
+    except (BadFile, OSError):
+        return OtherMap(slot, name, 0, 0, 0)
 
 
 def coverage(asset: Asset) -> tuple[float, float]:
-    """The share of texels that the surface shows, and of these the share that it shows more than once."""
+    """The share of texels that the surface uses, and of these the share that it uses more than once."""
     mesh, shown, doubled, texels = asset.mesh, 0, 0, 0
     areas = np.abs(uv_areas(mesh))
     for index, (image, texture) in enumerate(zip(mesh.textures, asset.textures, strict=True)):
@@ -80,24 +76,17 @@ def coverage(asset: Asset) -> tuple[float, float]:
 def inside_out_components(asset: Asset) -> int:
     """Closed components whose signed volume is negative."""
     vertices, faces = asset.mesh.vertices, asset.mesh.faces
-    component, closed = _components(faces, len(vertices))
+    edges = edges_of(faces, len(vertices))
+    number, component = label_components(edges.ends, len(vertices))
+    closed = np.ones(number, bool)
+    closed[component[edges.ends[edges.uses == 1, 0]]] = False
     a, b, c = np.moveaxis((vertices - vertices.mean(0))[faces], 1, 0)
     volumes = np.bincount(component[faces[:, 0]], np.einsum("fx,fx->f", a, np.cross(b, c)))
     return int((closed & (volumes < 0)).sum())
 
 
-def _components(faces: Int[Any, "F 3"], count: int) -> tuple[Int[Any, "V"], Bool[Any, "N"]]:
-    """The component of each vertex, and which components have no boundary."""
-    edges = edges_of(faces, count)
-    ends = edges.ends
-    number, component = label_components(ends, count)
-    closed = np.ones(number, bool)
-    closed[component[ends[edges.uses == 1, 0]]] = False
-    return component, closed
-
-
 def ring_pixels(asset: Asset, painted: Bool[Any, "F"], vertices: int) -> tuple[float, float, float] | None:
-    """Pixels of the texture in a one-ring of a copy, which has 3/V of the surface."""
+    """Pixels of the texture in a one-ring (3/V of the surface) of a copy: 5 %, median, 95 % of the area."""
     areas = face_areas(asset.mesh.vertices, asset.mesh.faces)
     sizes = np.array([image.shape[0] * image.shape[1] for image in asset.mesh.textures] or [0])
     pixels = np.abs(uv_areas(asset.mesh)) * sizes[asset.mesh.face_textures]

@@ -1,4 +1,4 @@
-"""Before anything is paid for: can the asset be written there, and what will the new file lack?"""
+"""Checks that the asset can be written, before the work starts, and reports what the new file will lack."""
 
 import os
 import sys
@@ -13,18 +13,20 @@ from flx.assets.write import check_room
 
 
 def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Sequence[Path] = ()) -> None:
-    """Before anything is paid for: can the asset be written to `paths`, with other files `beside` it? Says on
-    stderr, in one line, what stays behind and what is not there.
+    """Checks that the asset can be written to `paths`, with other files `beside` it. Lists on stderr, in one
+    line, what the format cannot hold and which files are missing.
 
-    Raises ValueError for PLY, which holds colours of vertices only, from an asset with textures; where files
-    of the asset itself would be overwritten; and where there can be no such folder.
+    Raises ValueError for a PLY (vertex colours only) of an asset with textures, where files of the asset
+    would be overwritten, and where the folder cannot be made or written to.
     """
     for folder in {path.parent for path in paths}:
-        _check_folder(folder)
+        existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+        if not existing.is_dir():
+            raise ValueError(f"{existing} is a file; name a folder with --out")
+        if not os.access(existing, os.W_OK | os.X_OK):
+            raise ValueError(f"{existing} is not writable; name another folder with --out")
     if format == "ply" and asset.textures:
-        raise ValueError(
-            f"{asset.path} has textures, a PLY has colours of vertices; take --format glb or obj"
-        )
+        raise ValueError(f"{asset.path} has textures, a PLY only vertex colours; use --format glb or obj")
     for path in paths:
         check_room(asset, path, beside)
     notes = []
@@ -32,15 +34,6 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
         keeping = {ObjSource: "; --format obj keeps all", Gltf: "; --format glb keeps all"}
         notes.append(f"{left} stay behind{keeping.get(type(asset.container), '')}")
     if missing := dangling(asset, format):
-        notes.append(f"not there, but named in what is written: {missing}")
+        notes.append(f"missing, but named in the new file: {missing}")
     if notes:
         print(f"{asset.path}: {'; '.join(notes)}", file=sys.stderr)
-
-
-def _check_folder(folder: Path) -> None:
-    """Raises ValueError where no folder can be made, or nothing written into it."""
-    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    if not there.is_dir():
-        raise ValueError(f"{there} is a file; name a folder with --out")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise ValueError(f"{there} may not be written to; name another folder with --out")

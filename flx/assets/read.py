@@ -1,12 +1,12 @@
-"""The door: a textured mesh file in, an `Asset` out, or one line that says what is wrong with the file."""
+"""Reads a textured mesh file into an `Asset`, or raises an error of one line that names the fault."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from flx.assets.assemble import assemble, faults_of
 from flx.assets.asset import Asset
 from flx.assets.formats.files import BadFile
-from flx.assets.formats.readers import READERS, Contents
+from flx.assets.formats.readers import READERS
 from flx.types import Slot
 
 
@@ -42,16 +42,11 @@ def read_asset(
             raise
         raise ValueError(f"{str(path)[:80]} cannot be opened ({fault.strerror}); give a mesh file") from fault
     with faults_of(path):
-        contents = _read_contents(path, reader)
+        try:
+            contents = reader(path)
+        except (BadFile, OSError):
+            raise
+        except Exception as fault:  # unforeseen, in a parser
+            what = " ".join(f"{type(fault).__name__}: {fault}".split())[:200]
+            raise ValueError(f"cannot be read ({what}); export it again") from fault
         return assemble(path, contents, None if texture is None else Path(texture), slots)
-
-
-def _read_contents(path: Path, reader: Callable[[Path], Contents]) -> Contents:
-    """Whatever a parser stumbles over, in one line."""
-    try:
-        return reader(path)
-    except (BadFile, OSError):
-        raise
-    except Exception as fault:
-        what = " ".join(f"{type(fault).__name__}: {fault}".split())[:200]
-        raise ValueError(f"cannot be read ({what}); export it again") from fault

@@ -19,18 +19,17 @@ PADDING = 4  # texels between charts on a texture of about 1024²: seams stay cl
 
 
 def is_unwrappable(asset: Asset) -> bool:
-    """Vertex colours, and a file that holds nothing which a new one would lose: no foreign glTF."""
-    foreign = (
-        isinstance(asset.container, Gltf) and asset.container.document["asset"].get("generator") != "flx"
-    )
-    return not asset.textures and not foreign
+    """Whether the asset has vertex colours and is not a glTF by another program, which would lose content."""
+    file = asset.container
+    is_foreign = isinstance(file, Gltf) and file.document["asset"].get("generator") != "flx"
+    return not asset.textures and not is_foreign
 
 
 def unwrapped(asset: Asset) -> Asset:
     """The asset with charts, and its vertex colours painted on one texture.
 
-    The triangles, their order and their normals stay, less those that repair dropped; vertices on the rims of
-    charts are doubled. Raises ValueError where xatlas is not installed or leaves faces out.
+    The triangles, except those that repair dropped, keep their order and normals; vertices on the rims of
+    charts are duplicated. Raises ValueError where xatlas is not installed or leaves faces out.
     """
     try:
         import xatlas  # pyright: ignore[reportMissingImports]
@@ -68,7 +67,7 @@ def unwrapped(asset: Asset) -> Asset:
 def _split(
     asset: Asset, charted: Int[np.ndarray, "F 3"], uvs: Float64[np.ndarray, "N 2"]
 ) -> tuple[tuple[Part, ...], Int[np.ndarray, "F 3"]]:
-    """The parts, with a row for each old row and chart that holds it; and the new row of each corner."""
+    """The parts, with a row for each old row and chart it is in; and the new row of each corner."""
     parts, corners = [], np.zeros_like(asset.corner_vertices)
     ends, total = np.cumsum([len(part.positions) for part in asset.parts]), 0
     part_of = np.searchsorted(ends, asset.corner_vertices[:, 0], side="right")
@@ -93,9 +92,9 @@ def _split(
 
 
 def prepared_for(asset: Asset, format: Format) -> Asset:
-    """The asset, with an atlas where it has vertex colours and `format` and installation allow one.
+    """The asset, with an atlas if it has vertex colours, `format` allows one and xatlas is installed.
 
-    An OBJ that goes out as OBJ stays as it is, for an atlas needs other rows.
+    An OBJ that is written as OBJ stays as it is, since an atlas needs other rows.
     """
     stays = format == "obj" and isinstance(asset.container, ObjSource)
     if format == "ply" or stays or not is_unwrappable(asset):

@@ -1,10 +1,9 @@
-"""A glazed vase with blossoms, made from formulas: the asset to try everything on without a download.
+"""A glazed vase with blossoms, made from formulas: an asset to try everything on without a download.
 
 The height is about 1, the axis is y, the foot stands on y = 0. The surface is closed (χ = 2): outside, lip, a
-well narrower than the outside (vertices are spent where they are seen), its floor, foot. The texture is
-painted on the surface, not in the atlas: a texel's colour depends on its place in space alone, so the seams
-between the five charts do not show. The pattern is all over and of one scale, 2 to 12 % of the height; no
-stroke is thinner than about 1 %.
+well narrower than the outside (it is hardly seen, so it gets fewer vertices), its floor, foot. A texel's
+colour depends only on its place in space, so the seams between the five charts do not show. The pattern
+covers everything at one scale, 2 to 12 % of the height; no stroke is thinner than about 1 %.
 """
 
 from pathlib import Path
@@ -17,11 +16,11 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial import KDTree
 
-from flx.assets.arrays import split_corners
 from flx.assets.assemble import assemble
 from flx.assets.asset import Asset
 from flx.assets.formats.glb import build_gltf
 from flx.assets.formats.images import encode_png
+from flx.assets.formats.obj import split_corners
 from flx.assets.formats.parts import Paint, Part
 from flx.assets.formats.readers import gltf_contents
 from flx.geometry.arrays import face_areas
@@ -52,7 +51,7 @@ OCHRE, IRON = np.array([0.90, 0.66, 0.20]), np.array([0.74, 0.27, 0.17])
 
 
 def vase() -> TexturedMesh:
-    """The vase with its texture: the same one each time."""
+    """The vase with its texture, the same each time."""
     vertices, faces, corner_uvs = _lathe()
     layer = Layer((), np.zeros(len(faces), np.int64), corner_uvs)
     no_colors = np.zeros((len(faces), 3, 3), np.float32)
@@ -104,17 +103,10 @@ def _lathe() -> tuple[Float64[Any, "V 3"], Int[Any, "F 3"], Float64[Any, "F 3 2"
     around = 4 * round(2 * np.pi * profile[:, 0].max() / SPACING / 4)
     inner = len(profile) - 2  # rings of vertices between the two poles
     angles = 2 * np.pi * np.arange(around) / around
-    rings = profile[1:-1, None]
-    vertices = np.stack(
-        [
-            rings[..., 0] * np.sin(angles),
-            np.broadcast_to(rings[..., 1], (inner, around)),
-            rings[..., 0] * np.cos(angles),
-        ],
-        -1,
-    ).reshape(-1, 3)
+    radii, heights = profile[1:-1].T[..., None]
+    axes = np.broadcast_arrays(radii * np.sin(angles), heights, radii * np.cos(angles))
     poles = np.array([[0, profile[0, 1], 0], [0, profile[-1, 1], 0]])
-    vertices = np.concatenate([vertices, poles])
+    vertices = np.concatenate([np.stack(axes, -1).reshape(-1, 3), poles])
 
     # Corners as (step of the profile, step around), the latter up to `around`: a chart's far edge.
     i, j = np.meshgrid(np.arange(inner - 1) + 1, np.arange(around), indexing="ij")
@@ -183,12 +175,12 @@ class Motif(NamedTuple):
 
     kind: str
     reach: float  # greatest distance from its middle that it paints
-    apart: float  # what it keeps free about its middle
-    tries: int  # of places for it; few: sparse
+    apart: float  # the radius about its middle that stays free
+    tries: int  # how many places are tried; few make it sparse
     palette: tuple[Float64[Any, "3"], Float64[Any, "3"]]
 
 
-# Large ones first: each later one fills what the earlier left free.
+# Large ones first; each later one fills gaps between the earlier.
 MOTIFS = (
     Motif("blossom", 0.062, 0.064, 240, (COBALT, SKY_BLUE)),
     Motif("blossom", 0.050, 0.053, 160, (IRON, OCHRE)),
@@ -259,12 +251,10 @@ def _brush(
     across /= np.linalg.norm(across)
     plane = offsets @ np.stack([across, np.cross(normal, across)], 1)
     reach = np.linalg.norm(offsets, axis=1) / motif.reach  # 0 in the middle, 1 at the rim
-    turn = rng.uniform(0, 2 * np.pi)
-    angle = np.arctan2(plane[:, 1], plane[:, 0]) + turn
+    angle = np.arctan2(plane[:, 1], plane[:, 0]) + rng.uniform(0, 2 * np.pi)
     x, y = reach * np.cos(angle), reach * np.sin(angle)
     outer, inner = motif.palette
-    blend = rng.uniform(0, 0.45)
-    body, accent = outer + (inner - outer) * blend, inner
+    body, accent = outer + (inner - outer) * rng.uniform(0, 0.45), inner
     soft = EDGE / motif.reach
 
     def lay(inside: Float64[Any, "N"], color: Float64[Any, "N 3"] | Float64[Any, "3"], strength: Any) -> None:
@@ -282,15 +272,12 @@ def _brush(
         lay(0.40 - reach, CREAM, 0.92)
         lay(0.25 - reach, heart, 0.95)
     elif motif.kind == "leaf":
-        bend = 0.22 * (x * x - 0.4)
+        side = y - 0.22 * (x * x - 0.4)  # of the bent midrib
         width = 0.46 * (1 - x * x) * (1.12 - 0.35 * x)
-        lay(
-            width - np.abs(y - bend),
-            body + (accent - body) * np.clip((y - bend) / 0.8 + 0.3, 0, 1)[:, None],
-            full,
-        )
+        shade = np.clip(side / 0.8 + 0.3, 0, 1)[:, None]
+        lay(width - np.abs(side), body + (accent - body) * shade, full)
         if motif.reach > 0.035:
-            lay(0.075 * (0.9 - x) - np.abs(y - bend), CREAM, 0.5)
+            lay(0.075 * (0.9 - x) - np.abs(side), CREAM, 0.5)
     else:
         lay(0.92 - reach, body, full)
 

@@ -19,7 +19,7 @@ def test_what_stays_behind_in_another_format_is_said_in_one_line(tmp_path, capsy
     said = capsys.readouterr().err
     assert said == f"{asset.path}: {told} stay behind; --format obj keeps all\n"
     check_output(asset, "obj", [tmp_path / "out.obj"])
-    assert capsys.readouterr().err == f"{asset.path}: not there, but named in what is written: gone.png\n"
+    assert capsys.readouterr().err == f"{asset.path}: missing, but named in the new file: gone.png\n"
     assert left_behind(asset, "obj") == ""
     write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
     check_output(read_asset(tmp_path / "out.glb"), "obj", [tmp_path / "out.obj"])

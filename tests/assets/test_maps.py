@@ -356,7 +356,7 @@ def test_an_obj_names_its_maps(tmp_path, lines, names):
         (["map_Pr n.png"], "metallic_roughness", "map_Pr and map_Pm of 'a' are not read; convert"),
         (["norm -s 2 2 2 n.png"], "normal", "the normal map of 'a' and its map_Kd have -s or -o; convert"),
         (["norm n.png"], "occlusion", "there is no occlusion map"),
-        (["norm gone.png"], "normal", "'gone.png' does not exist; put it beside the mesh$"),
+        (["norm gone.png"], "normal", "'gone.png' does not exist; put it next to the mesh$"),
     ],
 )
 def test_what_an_obj_cannot_give_is_refused_by_name(tmp_path, lines, slot, words):

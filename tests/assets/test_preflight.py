@@ -39,7 +39,7 @@ def test_a_file_that_is_not_there_and_is_still_named_is_told(tmp_path, capsys, g
     asset = read_asset(save(gltf, tmp_path / "a.glb"), tmp_path / "a.png" if given else None)
     told = "gone 1.png, gone 2.png" if given else "gone 2.png"
     check_output(asset, "glb", [tmp_path / "out.glb"])
-    assert capsys.readouterr().err == f"{asset.path}: not there, but named in what is written: {told}\n"
+    assert capsys.readouterr().err == f"{asset.path}: missing, but named in the new file: {told}\n"
     write(asset, Painting({"base_color": asset.mesh.textures}), tmp_path / "out.glb")
     assert ", ".join(read_asset(tmp_path / "out.glb").report.missing_images) == told
 

@@ -239,7 +239,7 @@ def test_the_digest_follows_content_not_place(tmp_path):
         (lambda t: t.replace("f 1/1", "f 99/1"), "line 11 names v 99, but there are 4"),
         (lambda t: t.replace("vt 0.9", "vt nan"), "not finite"),
         (lambda t: t.replace("f 1/1", "f -5/1"), "names v -5"),
-        (lambda t: t.replace("vt 0.9", "vt o.9"), "'o.9' is no number"),
+        (lambda t: t.replace("vt 0.9", "vt o.9"), "'o.9' is not a number"),
         (
             lambda t: t.replace("f 1/1 3/2 2/3", "f 1 3 2").replace("f 1/2 2/1 4/3", "f 1 2 4"),
             "no texture coordinates",

@@ -21,7 +21,7 @@ def test_an_obj_is_reconstructed_as_the_same_obj_and_its_image_keeps_its_alpha(t
 def test_what_cannot_be_written_is_refused_before_anything_is_paid_for(tmp_path, monkeypatch):
     monkeypatch.setattr("flx.geometry.copies.make_copy", lambda *_: pytest.fail("a copy was made"))
     path = saved(tmp_path / "in")
-    with pytest.raises(ValueError, match="has textures, a PLY has colours of vertices; take --format"):
+    with pytest.raises(ValueError, match="has textures, a PLY only vertex colours; use --format"):
         reconstruct(Reconstruct(path, out=tmp_path / "out", format="ply"))
     path = path.rename(path.with_name("reconstruction.obj"))
     with pytest.raises(ValueError, match=r"would overwrite a file of .*; name another --out"):

@@ -1,4 +1,4 @@
-"""Where files are opened, regular ones of bounded size, and written, each whole or not at all.
+"""Opens files safely: only regular ones, of bounded size, in the folder of the mesh.
 
 A mesh file is a stranger's. It must not read its user's other files, reach the network, block on a pipe or
 take more memory than its own size explains. The limits are generous; each can be raised by an environment
@@ -22,14 +22,11 @@ LIMITS = {
 
 
 class BadFile(ValueError):
-    """A fault of the file that is known by name: its message says what to do about it."""
+    """A known fault of the file; the message says what to do about it."""
 
 
 def limit(name: str) -> int:
-    """The limit of that name: the environment's, or the one above.
-
-    Raises ValueError where the environment's is no whole number.
-    """
+    """The limit from the environment or `LIMITS`. Raises ValueError where it is not a whole number."""
     value = os.environ.get(name, "")
     if value and not value.isdecimal():
         raise ValueError(f"{name} is {value!r}; set it to a whole number, or unset it")
@@ -37,23 +34,23 @@ def limit(name: str) -> int:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """A file that another file names, which must lie in the same folder or below it, links followed.
+    """The path of a file that a file in this folder names. Links are followed.
 
     Raises BadFile for a URL and for a name that leads out of the folder.
     """
     if "://" in name:
-        raise BadFile(f"{name[:80]!r} is a URL, and nothing is fetched; put the file beside the mesh")
+        raise BadFile(f"{name[:80]!r} is a URL, and nothing is fetched; put the file next to the mesh")
     try:
         path = (folder / name.replace("\\", "/")).resolve()
     except (RuntimeError, ValueError) as fault:  # a link to itself, a NUL
-        raise BadFile(f"{name[:80]!r} leads nowhere ({fault}); put the file beside the mesh") from fault
+        raise BadFile(f"{name[:80]!r} leads nowhere ({fault}); put the file next to the mesh") from fault
     if not path.is_relative_to(folder.resolve()):
         raise BadFile(f"{quoted(name)} lies outside {folder}; copy it there, and name it without its folder")
     return path
 
 
 def quoted(name: str) -> str:
-    """A name as it stands in a file, on one line: what does not print is escaped, a backslash is one."""
+    """A name as it stands in a file, on one line; unprintable characters are escaped, backslashes are not."""
     return repr(name[:120]).replace("\\\\", "\\")
 
 
@@ -63,7 +60,7 @@ def is_absolute(name: str) -> bool:
 
 
 def is_there(folder: Path, name: str) -> bool:
-    """Whether a file that another file names can be opened from that one's folder."""
+    """Whether a file that a file in this folder names exists."""
     try:
         return inside(folder, name).is_file()
     except (BadFile, OSError):
@@ -71,11 +68,13 @@ def is_there(folder: Path, name: str) -> bool:
 
 
 def found_beside(folder: Path, name: str) -> str:
-    """The one file in the folder that a name means which leads to none; "" where there is none, or two.
+    """The file that a dangling name means; "" where the name is valid, and for no match or several.
 
-    Of an absolute path, another machine's, the file's name counts; of a relative one all of it. Neither minds
-    capitals, as Windows and macOS do not. Nothing outside of the folder is looked at.
+    Of an absolute path from another machine only the last part must match, of a relative one all of it. Case
+    is ignored, as on Windows and macOS. Only the folder and those below it are searched.
     """
+    if is_there(folder, name):
+        return ""
     words = re.split(r"[/\\]", name)
     matched: list[str] = []
     for word in [words[-1]] if is_absolute(name) else [w for w in words if w not in ("", ".")]:
@@ -91,7 +90,7 @@ def found_beside(folder: Path, name: str) -> str:
 
 
 def substitution(names: tuple[str, str]) -> str:
-    """A name in a file, and the file that was taken for it."""
+    """A name in a file, and the file that was read in its place."""
     return f"{quoted(names[0])} → {names[1]}"
 
 
@@ -107,9 +106,7 @@ def read_file(path: Path) -> bytes:
     if not path.is_file():
         raise BadFile(f"{path} is not a file; name one, or copy it there")
     if size > (most := limit("FLX_MAX_BYTES")):
-        raise BadFile(
-            f"{path} has {size:,} bytes, more than {most:,}; reduce it, or set FLX_MAX_BYTES={size}"
-        )
+        raise BadFile(f"{path} has {size:,} bytes, over {most:,}; reduce it, or set FLX_MAX_BYTES={size}")
     with open(path, "rb") as file:
         return file.read(size)
 
@@ -121,7 +118,7 @@ def check_faces(count: int) -> None:
 
 
 def numbers(text: str, dtype: type = np.float64) -> Num[Any, "N"]:
-    """The numbers of a text, separated by white space. Raises BadFile where something else stands there."""
+    """The numbers of a text, separated by white space. Raises BadFile for anything else in it."""
     words = text.split()
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # older NumPy warns, and leaves the rest out
@@ -135,5 +132,5 @@ def numbers(text: str, dtype: type = np.float64) -> Num[Any, "N"]:
         try:
             dtype(word)
         except (ValueError, OverflowError):
-            raise BadFile(f"{word[:40]!r} is no number here; export it again") from None
+            raise BadFile(f"{word[:40]!r} is not a number; export it again") from None
     raise BadFile("a number is broken; export it again")

@@ -1,4 +1,4 @@
-"""GLB files written: a glTF that was read, with the images of a slot replaced; or a new one from triangles.
+"""Writes GLB files: a glTF that was read, with the images of a slot replaced; or a new one from triangles.
 
 A file that was read is patched, never rebuilt: accessors, other maps, names, extras and transforms keep their
 index and their bytes. Every file is self-contained.
@@ -6,7 +6,7 @@ index and their bytes. Every file is self-contained.
 
 import json
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,14 +33,17 @@ FLOAT, UNSIGNED = 5126, 5125
 def replace_images(gltf: Gltf, slot: Slot, textures: Mapping[int, int], pngs: Mapping[int, bytes]) -> Gltf:
     """The same file with other images in one slot: material m shows `pngs[textures[m]]`.
 
-    An image that only this slot shows is replaced where it stands. One that another slot shows too stays, and
-    the material is given a new image and texture; so is a material that has none, and a primitive without a
-    material (key `len(materials)`). All else keeps its place and its bytes.
+    An image that only this slot uses is replaced in place. One that another slot uses too stays, and the
+    material gets a new image and texture; so do a material that has none, and primitives without a material
+    (key `len(materials)`). Everything else keeps its place and its bytes.
     """
     document, views = _copy(gltf.document), list(gltf.views)
     materials = document.setdefault("materials", [])
     if len(materials) in textures:
-        _give_default_material(document)
+        default = append(document, "materials", {"name": "default"})
+        for mesh in document["meshes"]:
+            for primitive in mesh["primitives"]:
+                primitive.setdefault("material", default)
     references = [texture_reference(material, slot) for material in materials]
     shared = _images_of_other_slots(document, references)
     words = slot.replace("_", " ")
@@ -54,9 +57,8 @@ def replace_images(gltf: Gltf, slot: Slot, textures: Mapping[int, int], pngs: Ma
                 name = document["images"][image].get("name", words) if image >= 0 else words
                 new[number] = append(document, "images", {"name": name})
                 _put_image(document, views, new[number], png)
-            texture = append(
-                document, "textures", dict(document["textures"][texture]) if texture >= 0 else {}
-            )
+            entry = dict(document["textures"][texture]) if texture >= 0 else {}
+            texture = append(document, "textures", entry)
             image = new[number]
             if not reference:
                 reference = _holder(materials[material], slot).setdefault(texture_key(slot), {})
@@ -98,7 +100,7 @@ def replace_colors(gltf: Gltf, colors: Mapping[tuple[int, int], Float32[Any, "_ 
 
 
 def _copy(document: dict) -> dict:
-    return json.loads(json.dumps(document))
+    return json.loads(json.dumps(document))  # `deepcopy` is slower, and fails on deep nesting
 
 
 def _append_rows(document: dict, views: list[bytes], rows: Num[Any, "N C"]) -> int:
@@ -110,17 +112,9 @@ def _append_rows(document: dict, views: list[bytes], rows: Num[Any, "N C"]) -> i
     return append(document, "accessors", entry)
 
 
-def _give_default_material(document: dict) -> None:
-    """Names the specification's default material, for the primitives that have none."""
-    material = append(document, "materials", {"name": "default"})
-    for mesh in document["meshes"]:
-        for primitive in mesh["primitives"]:
-            primitive.setdefault("material", material)
-
-
 def _images_of_other_slots(document: dict, references: Sequence[dict]) -> set[int]:
-    """The images that something else than these references shows: their pixels must stay."""
-    own, images = {id(reference) for reference in references}, set()
+    """The images that other references than these use: their pixels must stay."""
+    own, images = set(map(id, references)), set()
 
     def visit(value: Any, key: str = "") -> None:
         if isinstance(value, dict):
@@ -137,7 +131,7 @@ def _images_of_other_slots(document: dict, references: Sequence[dict]) -> set[in
 
 
 def other_images(gltf: Gltf) -> list[str]:
-    """The images that a file shows besides base colours, by name."""
+    """The names of the images that a file uses for anything but base colours."""
     document = gltf.document
     base = [texture_reference(material) for material in document.get("materials", [])]
     images = document.get("images", [])
@@ -145,23 +139,18 @@ def other_images(gltf: Gltf) -> list[str]:
     return [str(images[i].get("name") or images[i].get("uri") or f"image {i}") for i in others]
 
 
-def missing_images(gltf: Gltf, painted: Iterable[int]) -> list[str]:
-    """The files of images that are not there, less those that new base colours of some materials replace."""
+def missing_images(gltf: Gltf, painted: Container[int] = ()) -> list[str]:
+    """The files of missing images, except those that new base colours of the `painted` materials replace."""
     document = gltf.document
-    materials, images = document.get("materials", []), document.get("images", [])
-    base = [texture_reference(material) for material in materials]
-    new = {
-        texture_image(document, base[m]["index"]) for m in painted if m < len(base) and "index" in base[m]
-    } - _images_of_other_slots(document, base)
-    return [
-        str(image.get("uri", "an image without data"))
-        for i, image in enumerate(images)
-        if "bufferView" not in image and i not in new
-    ]
+    base = [texture_reference(material) for material in document.get("materials", [])]
+    shown = [base[m]["index"] for m in range(len(base)) if m in painted and "index" in base[m]]
+    new = {texture_image(document, i) for i in shown} - _images_of_other_slots(document, base)
+    lost = [i for i, image in enumerate(document.get("images", [])) if "bufferView" not in image]
+    return [document["images"][i].get("uri", "an image without data") for i in lost if i not in new]
 
 
 def _put_image(document: dict, views: list[bytes], image: int, png: bytes) -> None:
-    """The PNG in the image's place; its buffer view is reused where nobody else reads it."""
+    """Puts the PNG in the image's place; its buffer view is reused if nothing else uses it."""
     entry = document["images"][image]
     readers = [other.get("bufferView") for other in document["images"]]
     readers += [other.get("bufferView") for other in document.get("accessors", [])]
@@ -174,12 +163,11 @@ def _put_image(document: dict, views: list[bytes], image: int, png: bytes) -> No
 
 
 def _show(document: dict, texture: int, image: int) -> None:
-    """The texture shows the image, in the one format that every reader knows."""
+    """Makes the texture show the image as PNG, not as the kinds of its extensions."""
     entry = document["textures"][texture]
     entry["source"] = image
-    extensions = entry.get("extensions", {})
+    extensions = entry.pop("extensions", {})
     remaining = {k: v for k, v in extensions.items() if k not in ("EXT_texture_webp", "KHR_texture_basisu")}
-    entry.pop("extensions", None)
     if remaining:
         entry["extensions"] = remaining
 
@@ -191,15 +179,15 @@ def build_gltf(
     pngs: Mapping[Slot, Mapping[int, bytes]],
     colors: Sequence[Float32[Any, "_ 3"]] | None = None,
 ) -> Gltf:
-    """A new file for triangles that came from another format: one mesh, a primitive for each part.
+    """A new file for triangles from another format: one mesh, with a primitive for each part.
 
-    `pngs` holds the images of `Paint.textures`; `colors` are sRGB, one array for each part. Scans carry their
-    light in the texture: not metallic, fully rough. OBJ and PLY know no culling: double sided. A material
-    that no part has is left out.
+    `pngs` holds the images of `Paint.textures`; `colors` are sRGB, one array for each part. Materials are not
+    metallic and fully rough, since a scan's lighting is in its texture, and double-sided, since OBJ and PLY
+    have no culling. Unused materials are left out.
     """
     document: dict = {"asset": {"version": "2.0", "generator": "flx"}, "scene": 0, "scenes": [{"nodes": [0]}]}
-    views: list[bytes] = []
     document |= {"nodes": [{"mesh": 0, "name": name}], "meshes": [{"name": name, "primitives": []}]}
+    views: list[bytes] = []
     images: dict[tuple[Slot, int], int] = {}
     for slot, of_slot in pngs.items():
         for texture, png in of_slot.items():
@@ -215,11 +203,7 @@ def build_gltf(
             if (slot, texture) in images:
                 _holder(material, slot)[texture_key(slot)] = {"index": images[slot, texture]}
                 if slot == "emissive":
-                    material["emissiveFactor"] = [
-                        1.0,
-                        1.0,
-                        1.0,
-                    ]  # it multiplies the image, and is 0 if not said
+                    material["emissiveFactor"] = [1.0, 1.0, 1.0]  # multiplies the image; 0 by default
         color = [1.0, 1.0, 1.0]
         if ("base_color", paint.texture) not in images and colors is None:
             color = linear(np.array(paint.color)).tolist()
@@ -243,7 +227,7 @@ def build_gltf(
 
 
 def glb_bytes(gltf: Gltf) -> bytes:
-    """One GLB: the views one after the other, each at a multiple of four bytes as accessors ask."""
+    """One GLB: the views in order, each aligned to four bytes as accessors require."""
     document, binary = _copy(gltf.document), bytearray()
     for entry, view in zip(document.get("bufferViews", []), gltf.views, strict=True):
         entry |= {"buffer": 0, "byteOffset": len(binary), "byteLength": len(view)}
@@ -251,7 +235,6 @@ def glb_bytes(gltf: Gltf) -> bytes:
     document["buffers"] = [{"byteLength": len(binary)}]
     text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 4)
-    chunks = (
-        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    )
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(binary), b"BIN\0") + binary
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

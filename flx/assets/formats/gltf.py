@@ -1,8 +1,8 @@
 """The glTF 2.0 container, read whole: its document, its bytes, its triangles.
 
 `Gltf` holds the JSON document as it was read and the bytes of every buffer view; external and `data:` buffers
-and images are taken in, so that it can always be written as one self-contained file. Nothing is interpreted
-that need not be: what this project does not know (extras, extensions, animations) passes through untouched.
+and images are taken in, so that it can always be written as one self-contained file. Whatever this project
+does not use (extras, extensions, animations) passes through untouched.
 
 Our own reader, not trimesh's, for three reasons: a material must be known by its index to be patched,
 texture coordinates must be the file's own bits (trimesh's flip rounds them), and `texCoord` sets,
@@ -22,15 +22,7 @@ from urllib.parse import quote, unquote, unquote_to_bytes
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Num
 
-from flx.assets.formats.files import (
-    BadFile,
-    check_faces,
-    found_beside,
-    inside,
-    is_there,
-    read_file,
-    substitution,
-)
+from flx.assets.formats.files import BadFile, check_faces, found_beside, inside, read_file, substitution
 from flx.assets.formats.parts import Part
 from flx.assets.formats.schema import check_document
 from flx.geometry.color import srgb
@@ -46,16 +38,16 @@ MIME_TYPES = {
 }
 IN_PBR = ("base_color", "metallic_roughness")  # slots that lie in pbrMetallicRoughness
 TRIANGLES, STRIP, FAN = 4, 5, 6
-MOST_VALUES = 1 << 22  # of the JSON: an empty list of three bytes becomes a hundred
+MOST_VALUES = 1 << 22  # in the JSON: an empty list of three bytes takes a hundred in memory
 MOST_PARTS = 1 << 14
 
 
 class Gltf(NamedTuple):
-    """A glTF file with all its bytes at hand; `document["bufferViews"][i]` describes `views[i]`."""
+    """A glTF file with all its bytes; `document["bufferViews"][i]` describes `views[i]`."""
 
     document: dict
     views: tuple[bytes, ...]
-    substitutions: tuple[str, ...] = ()  # images that were read under another name than the file's
+    substitutions: tuple[str, ...] = ()  # images that were found under another name than the file's
 
 
 # ---------------------------------------------------------------------------------------------- reading
@@ -85,7 +77,7 @@ def read_gltf(path: Path) -> Gltf:
         if "uri" not in image:
             continue
         name = unquote(image["uri"])
-        other = "" if _is_at_hand(path.parent, image["uri"]) else found_beside(path.parent, name)
+        other = "" if image["uri"].startswith("data:") else found_beside(path.parent, name)
         substitutions += [substitution((name, other))] if other else []
         try:
             content = _resource(quote(other) or image["uri"], path.parent)
@@ -117,9 +109,8 @@ def _chunks(data: bytes) -> tuple[bytes, bytes]:
 def _buffer(index: int, buffer: dict, chunk: bytes, folder: Path) -> bytes:
     content = _resource(buffer["uri"], folder) if "uri" in buffer else chunk
     if len(content) < buffer["byteLength"]:
-        raise BadFile(
-            f"buffer {index} has {len(content):,} bytes of {buffer['byteLength']:,}; export it again"
-        )
+        sizes = f"{len(content):,} bytes of {buffer['byteLength']:,}"
+        raise BadFile(f"buffer {index} has {sizes}; export it again")
     return content
 
 
@@ -128,10 +119,6 @@ def _view(index: int, view: dict, buffers: list[bytes]) -> bytes:
     if start + length > len(buffers[view["buffer"]]):
         raise BadFile(f"buffer view {index} ends past its buffer; export it again")
     return buffers[view["buffer"]][start : start + length]
-
-
-def _is_at_hand(folder: Path, uri: str) -> bool:
-    return uri.startswith("data:") or is_there(folder, unquote(uri))
 
 
 def _resource(uri: str, folder: Path) -> bytes:
@@ -152,7 +139,7 @@ def append(document: dict, key: str, entry: dict) -> int:
 
 
 def append_view(document: dict, views: list[bytes], content: bytes) -> int:
-    """Adds a buffer view; where it lies in the buffer is settled when the file is written."""
+    """Adds a buffer view; its offset is set when the file is written."""
     views.append(content)
     return append(document, "bufferViews", {"buffer": 0, "byteLength": len(content)})
 
@@ -160,7 +147,7 @@ def append_view(document: dict, views: list[bytes], content: bytes) -> int:
 def accessor(gltf: Gltf, index: int) -> Num[Any, "N C"]:
     """The rows of an accessor in their own dtype, sparse ones filled in; normalised integers as float32.
 
-    Raises BadFile where it has no data, or more rows than bytes are there for.
+    Raises BadFile where it has no data, or more rows than its bytes can hold.
     """
     entry = gltf.document["accessors"][index]
     if not {"type", "count", "componentType"} <= entry.keys() or entry["type"] not in WIDTHS:
@@ -175,9 +162,8 @@ def accessor(gltf: Gltf, index: int) -> Num[Any, "N C"]:
     if sparse:
         if not {"count", "indices", "values"} <= sparse.keys():
             raise BadFile(f"accessor {index} is sparse without data; export it again")
-        where = _rows(
-            gltf, sparse["indices"], sparse["indices"].get("componentType", 5125), 1, sparse["count"]
-        )
+        component = sparse["indices"].get("componentType", 5125)
+        where = _rows(gltf, sparse["indices"], component, 1, sparse["count"])
         if where.max() >= count:
             raise BadFile(f"accessor {index} fills row {where.max()} of {count}; export it again")
         rows[where[:, 0]] = _rows(gltf, sparse["values"], entry["componentType"], width, sparse["count"])
@@ -232,7 +218,7 @@ def parts(gltf: Gltf) -> list[Part]:
     """Every triangle primitive of the default scene, in the scene's frame.
 
     A primitive without a material gets index `len(materials)`, the specification's default. A transform that
-    mirrors turns the faces round, so that they stay counter-clockwise. Skins and morph targets rest.
+    mirrors reverses the faces, so that they stay counter-clockwise. Skins and morph targets are not applied.
     """
     document, parts = gltf.document, []
     materials, read = document.get("materials", []), 0
@@ -245,7 +231,7 @@ def parts(gltf: Gltf) -> list[Part]:
         faces = _faces(gltf, primitive, len(points))
         material = primitive.get("material", len(materials))
         reference = texture_reference(materials[material]) if "material" in primitive else {}
-        with np.errstate(all="ignore"):  # what is not finite is refused by name, later
+        with np.errstate(all="ignore"):  # numbers that are not finite are refused by name, later
             points = points @ world[:3, :3].T + world[:3, 3]
             mirrored = np.linalg.det(world[:3, :3]) < 0
         part = Part(
@@ -274,13 +260,11 @@ def _check_counts(part: Part) -> None:
 
 
 def _triangles(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"], int, dict]]:
-    """Node, its transform, number and entry of every primitive of triangles that the scene shows."""
+    """Node, its transform, index and entry of every triangle primitive in the scene."""
     for node, world in scene_nodes(document):
-        if "mesh" not in document["nodes"][node]:
-            continue
-        for number, primitive in enumerate(
-            document["meshes"][document["nodes"][node]["mesh"]].get("primitives", [])
-        ):
+        mesh = document["nodes"][node].get("mesh")
+        primitives = [] if mesh is None else document["meshes"][mesh].get("primitives", [])
+        for number, primitive in enumerate(primitives):
             if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
                 continue
             if "POSITION" not in primitive.get("attributes", {}):
@@ -291,7 +275,7 @@ def _triangles(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"], int, 
 def _attribute(gltf: Gltf, attributes: dict, name: str, widths: tuple[int, ...]) -> Num[Any, "N C"]:
     rows = accessor(gltf, attributes[name])
     if rows.shape[1] not in widths:
-        raise BadFile(f"{name} has {rows.shape[1]} numbers a vertex, not {widths[0]}; export it again")
+        raise BadFile(f"{name} has {rows.shape[1]} numbers for a vertex, not {widths[0]}; export it again")
     return rows
 
 
@@ -316,9 +300,9 @@ def _faces(gltf: Gltf, primitive: dict, points: int) -> Int[Any, "F 3"]:
 
 
 def _normals(gltf: Gltf, attributes: dict, world: Float64[Any, "3 3"]) -> Float64[Any, "V 3"] | None:
-    """Unit normals under the inverse transpose of a transform; 0 for what has no direction.
+    """Unit normals under the inverse transpose of a transform; 0 for those without a direction.
 
-    By cofactors, which are det times that: a transform that flattens has them, too.
+    Uses cofactors (the inverse transpose times det), which a singular transform has, too.
     """
     if "NORMAL" not in attributes:
         return None
@@ -331,7 +315,9 @@ def _normals(gltf: Gltf, attributes: dict, world: Float64[Any, "3 3"]) -> Float6
 
 
 def slot_uvs(gltf: Gltf, part: Part, slot: Slot) -> Float64[Any, "V 2"] | None:
-    """The coordinates at which a part reads the image of a slot, which may be others than `Part.uvs`."""
+    """The coordinates at which a part reads the image of a slot, which may differ from `Part.uvs`."""
+    if slot == "base_color":
+        return part.uvs
     node, number = part.origin
     mesh = gltf.document["meshes"][gltf.document["nodes"][node]["mesh"]]
     materials = gltf.document.get("materials", [])
@@ -359,7 +345,7 @@ def _colors(gltf: Gltf, attributes: dict) -> Float32[Any, "V 3"] | None:
 
 
 def texture_key(slot: Slot) -> str:
-    """What glTF calls the texture of a slot: baseColorTexture."""
+    """glTF's key for the texture of a slot, such as baseColorTexture."""
     first, *others = slot.split("_")
     return first + "".join(map(str.title, others)) + "Texture"
 
@@ -373,7 +359,7 @@ def texture_reference(material: dict, slot: Slot = "base_color") -> dict:
 
 
 def texture_image(document: dict, texture: int) -> int:
-    """The image a texture shows: of EXT_texture_webp, else its source; −1 without either."""
+    """The image of a texture: that of EXT_texture_webp, else its source; −1 without either."""
     entry = document["textures"][texture]
     webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
     return webp.get("source", entry.get("source", -1))

@@ -1,7 +1,7 @@
-"""Encoded images → pixels: RGB of 8 bits, or of 16 where asked, and 8-bit alpha beside it; and back, as PNG.
+"""Decodes images to RGB of 8 bits (or 16, for maps) and 8-bit alpha, and encodes them as PNG.
 
-Decoded at once, never lazily, and not before the number of pixels in the header is known to be bearable.
-Formats are named one by one: Pillow knows some (EPS) that start other programs.
+The number of pixels in the header is checked before anything is decoded. Formats are listed one by one:
+Pillow knows some (EPS) that start other programs.
 """
 
 import io
@@ -19,25 +19,22 @@ from flx.assets.formats.files import BadFile, limit
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 REFUSED = {
-    b"\xabKTX": "KTX2",
-    b"DDS ": "DDS",
-    b"sB": "Basis",
-    b"#?RADIANCE": "HDR",
-    b"\x76\x2f\x31\x01": "EXR",
+    **{b"\xabKTX": "KTX2", b"DDS ": "DDS", b"sB": "Basis"},
+    **{b"#?RADIANCE": "HDR", b"\x76\x2f\x31\x01": "EXR"},
 }
 TIFF_BITS, TIFF_PLANES = 258, 284  # tags
 KINDS = {"RGBA": "RGB", "L": "grey", "LA": "grey", "I;16": "grey", "1": "black and white", "P": "palette"}
 
 
 def open_image(content: bytes, name: str) -> Image.Image:
-    """The image behind its header, not yet decoded.
+    """The image, not yet decoded.
 
-    Raises BadFile for a format that is not read here, and for more than `FLX_MAX_PIXELS`.
+    Raises BadFile for a format that is not supported, and for more than `FLX_MAX_PIXELS`.
     """
     for magic, kind in REFUSED.items():
         if content.startswith(magic):
             raise BadFile(f"image {name!r} is {kind}; save it as PNG or JPEG")
-    most, pillows = limit("FLX_MAX_PIXELS"), Image.MAX_IMAGE_PIXELS
+    most, previous = limit("FLX_MAX_PIXELS"), Image.MAX_IMAGE_PIXELS
     remedy = "reduce it to 8192 × 8192, or set FLX_MAX_PIXELS"
     try:
         with warnings.catch_warnings():
@@ -49,18 +46,17 @@ def open_image(content: bytes, name: str) -> Image.Image:
     except (OSError, SyntaxError, ValueError, OverflowError) as fault:
         raise BadFile(f"image {name!r} is of no known kind; save it as PNG or JPEG") from fault
     finally:
-        Image.MAX_IMAGE_PIXELS = pillows
+        Image.MAX_IMAGE_PIXELS = previous
     if image.width * image.height > most:
-        raise BadFile(
-            f"image {name!r} has {image.width} × {image.height} pixels, more than {most:,}; {remedy}"
-        )
+        size = f"{image.width} × {image.height} pixels"
+        raise BadFile(f"image {name!r} has {size}, more than {most:,}; {remedy}")
     return image
 
 
 def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[Any, "H W"] | None]:
-    """8-bit RGB, and alpha where it says anything. 16-bit grey is scaled, never clipped.
+    """8-bit RGB, and alpha unless it is opaque everywhere. 16-bit grey is scaled, not clipped.
 
-    Raises BadFile as `open_image` does, and for what Pillow cannot decode.
+    Raises BadFile as `open_image` does, and for an image that Pillow cannot decode.
     """
     image = open_image(content, name)
     tags = getattr(image, "tag_v2", {})
@@ -75,18 +71,21 @@ def decode_image(content: bytes, name: str) -> tuple[UInt8[Any, "H W 3"], UInt8[
         image = Image.fromarray(np.rint(np.asarray(image) / 257).clip(0, 255).astype(np.uint8))
     elif image.mode == "F":
         raise BadFile(f"image {name!r} holds floating point numbers; save it as 8-bit PNG")
-    alpha = None
     if image.has_transparency_data:
-        image = image.convert("RGBA")
-        alpha = np.asarray(image)[..., 3].copy()
-        alpha = None if (alpha == 255).all() else alpha
-    return np.array(image.convert("RGB")), alpha
+        return split_alpha(np.array(image.convert("RGBA")))
+    return np.array(image.convert("RGB")), None
+
+
+def split_alpha(pixels: UInt8[Any, "H W C"]) -> tuple[UInt8[Any, "H W 3"], UInt8[Any, "H W"] | None]:
+    """RGB, and alpha unless there is none or it is opaque everywhere."""
+    rgb, alpha = pixels[..., :3].copy(), pixels[..., 3:].copy()
+    return rgb, None if (alpha == 255).all() else alpha[..., 0]
 
 
 def decode_map(content: bytes, name: str) -> tuple[UInt[Any, "H W 3"], UInt8[Any, "H W"] | None]:
     """As `decode_image`, but the 16 bits of a PNG stay 16.
 
-    Pillow keeps the high byte of 16-bit RGB. Told that the bytes are swapped, it keeps the low one.
+    Pillow keeps only the high byte of 16-bit RGB; with the byte order swapped, it keeps the low one.
     """
     pixels, alpha = decode_image(content, name)
     image = open_image(content, name)
@@ -100,12 +99,12 @@ def decode_map(content: bytes, name: str) -> tuple[UInt[Any, "H W 3"], UInt8[Any
 
 
 def bits_of(image: Image.Image) -> int:
-    """Bits a channel, 8 or 16, of an image that is not decoded yet."""
+    """Bits per channel, 8 or 16, of an image that is not decoded yet."""
     return 16 if ";16" in str(getattr(image, "tile", "")) else 8
 
 
 def original_kind(content: bytes, name: str) -> str:
-    """What an image was before it became 8-bit RGB: "16-bit grey", say; "" if it was that (alpha is kept)."""
+    """The image's kind before conversion, such as "16-bit grey"; "" if it was 8-bit RGB or RGBA."""
     image = open_image(content, name)
     bits = "16-bit " if bits_of(image) == 16 else ""
     kind = KINDS.get(image.mode, image.mode)
@@ -113,7 +112,7 @@ def original_kind(content: bytes, name: str) -> str:
 
 
 def encode_png(image: UInt[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:
-    """A PNG of 8 or 16 bits, as the image has; `alpha`, of any size, makes it RGBA."""
+    """A PNG of as many bits as the image has; `alpha`, of any size, makes it RGBA."""
     size = image.shape[1::-1]
     mask = None if alpha is None else Image.fromarray(alpha).resize(size, Image.Resampling.BILINEAR)
     if image.dtype == np.uint16:
@@ -128,7 +127,7 @@ def encode_png(image: UInt[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> by
 
 
 def _deep_png(image: UInt16[Any, "H W C"]) -> bytes:
-    """A 16-bit PNG of three or four channels, which Pillow cannot write; rows as differences of pixels."""
+    """A 16-bit PNG of three or four channels, which Pillow cannot write. Rows are differences of pixels."""
     height, width, channels = image.shape
     rows = image.astype(">u2").view(np.uint8).reshape(height, width, -1)
     steps = np.diff(rows, axis=1, prepend=np.zeros_like(rows[:, :1])).reshape(height, -1)
@@ -142,9 +141,8 @@ def _deep_png(image: UInt16[Any, "H W C"]) -> bytes:
 
 def check_together(contents: Mapping[str, bytes]) -> None:
     """Raises BadFile where images of one mesh have more than four times `FLX_MAX_PIXELS`."""
-    pixels = sum(image.width * image.height for image in (open_image(c, n) for n, c in contents.items()))
+    images = [open_image(content, name) for name, content in contents.items()]
+    pixels = sum(image.width * image.height for image in images)
     if pixels > (most := 4 * limit("FLX_MAX_PIXELS")):
-        raise BadFile(
-            f"{len(contents)} images have {pixels:,} pixels, more than {most:,}; reduce them, "
-            f"or set FLX_MAX_PIXELS={-(-pixels // 4)}"
-        )
+        remedy = f"reduce them, or set FLX_MAX_PIXELS={-(-pixels // 4)}"
+        raise BadFile(f"{len(images)} images have {pixels:,} pixels, more than {most:,}; {remedy}")

@@ -1,7 +1,7 @@
-"""MTL files: what they say of materials, the files they name, and the same bytes with other names in them.
+"""MTL files: their materials, the files they name, and the same bytes with other names in them.
 
-A library that goes out is the one that came in. So statements are found where they stand in the bytes, and
-only file names are exchanged: Ns, illum, norm, comments, order and line ends are nobody's business here.
+A library is written as it was read, but for file names. So statements are located in the bytes, and only
+names are exchanged: Ns, illum, norm, comments, order and line ends stay as they are.
 
 Options of map_Kd: `-s` and `-o` move the texture on the surface (u·s + o) and are applied to the texture
 coordinates; the others are kept in their line and reported, like factors that multiply a texture.
@@ -26,7 +26,7 @@ LINE_END = re.compile(rb"\r\n|\r|\n")
 
 MAPS = {"bump", "disp", "decal", "refl", "norm"}  # and all that begin with map_
 NO_FILE = {"map_aat"}  # a switch
-OPTIONS = {b"-mm": 2, b"-o": 3, b"-s": 3, b"-t": 3}  # numbers that follow, at most; one word otherwise
+OPTIONS = {b"-mm": 2, b"-o": 3, b"-s": 3, b"-t": 3}  # the most numbers that follow
 FLAGS = {b"-blendu", b"-blendv", b"-bm", b"-boost", b"-cc", b"-clamp", b"-imfchan", b"-texres", b"-type"}
 READ = {"newmtl", "kd", "d", "tr", "map_kd"}
 # Maps of other slots. A bump map may hold heights or normals: its name must say which.
@@ -41,7 +41,7 @@ MOST_MAPS = 1 << 12
 class Statement(NamedTuple):
     """A keyword and what follows it; `content[start:end]` is `value`, and its line ends at `stop`."""
 
-    key: str  # in small letters
+    key: str  # in lower case
     value: bytes
     start: int
     end: int
@@ -49,7 +49,7 @@ class Statement(NamedTuple):
 
 
 class FileName(NamedTuple):
-    """The file that a statement names after its options, and where the name stands."""
+    """The file that a statement names after its options, and the place of the name in the content."""
 
     name: str
     options: dict[str, tuple[str, ...]]
@@ -66,9 +66,14 @@ class Mapped(NamedTuple):
     options: tuple[str, ...] = ()  # of map_Kd that are not applied
     moved: frozenset[Slot] = frozenset()  # other slots whose image has an -s or -o
 
+    @property
+    def is_placed(self) -> bool:
+        """Whether `scale` or `offset` changes the texture coordinates."""
+        return (self.scale, self.offset) != ((1.0, 1.0), (0.0, 0.0))
+
 
 def statements(content: bytes) -> Iterator[Statement]:
-    """Every statement of a library; comments and empty lines are passed over."""
+    """Every statement of a library, without comments and empty lines."""
     for match in STATEMENT.finditer(content):
         value = match["value"].rstrip()
         start, key = match.start("value"), match["key"].decode(errors="replace").lower()
@@ -85,7 +90,7 @@ def _text(value: bytes) -> str:
 
 
 def file_name(statement: Statement) -> FileName | None:
-    """The file that a map names: all after the last option, for a name may hold spaces. None without one."""
+    """The file that a map names: everything after the last option, since names may have spaces; or None."""
     if statement.key in NO_FILE or not (statement.key in MAPS or statement.key.startswith("map_")):
         return None
     words = list(WORD.finditer(statement.value))
@@ -116,52 +121,53 @@ def _is_number(word: bytes) -> bool:
 
 
 def parse_mtl(content: bytes) -> dict[str, Mapped]:
-    """Materials by name: their diffuse colour and its image, read as sRGB, how that lies on the surface,
-    and how opaque they are.
+    """Materials by name. Diffuse colours and their images are read as sRGB.
 
-    Raises BadFile where Kd is no number.
+    Raises BadFile where Kd is not three numbers.
     """
     materials: dict[str, Mapped] = {}
-    name, dissolved = "", set()  # where d is said, Tr (1 − d) is not listened to
+    name, dissolved = "", False  # where a material has d, its Tr (1 − d) is ignored
     for statement in statements(content):
-        values = _text(statement.value).split()
-        if statement.key == "newmtl":
-            name = material_name(statement)
-            materials[name] = Mapped(Material(name, (1.0, 1.0, 1.0), None))
-            dissolved.discard(name)
-        elif statement.key == "kd" and name and len(values) >= 3:
+        key, values, file = statement.key, _text(statement.value).split(), file_name(statement)
+        if key == "newmtl":
+            name, dissolved = material_name(statement), False
+            materials[name] = Mapped(Material(name))
+        if not name:
+            continue
+        mapped = materials[name]
+        if key == "kd" and len(values) >= 3:
             r, g, b = np.nan_to_num(numbers(" ".join(values[:3]))).clip(0, 1).tolist()
-            materials[name] = _saying(materials[name], color=(r, g, b))
-        elif statement.key in ("d", "tr") and name and values and _is_number(statement.value.split()[-1]):
-            if statement.key == "d" or name not in dissolved:
-                opacity = float(values[-1]) if statement.key == "d" else 1 - float(values[-1])
-                materials[name] = _saying(materials[name], opacity=min(max(opacity, 0.0), 1.0))
-            dissolved |= {name} if statement.key == "d" else set()
-        elif statement.key == "map_d" and name and (file := file_name(statement)):
-            materials[name] = _saying(materials[name], opacity_image=file.name)
-        elif statement.key == "map_kd" and name and (file := file_name(statement)):
+            mapped = _with(mapped, color=(r, g, b))
+        elif key in ("d", "tr") and values and _is_number(statement.value.split()[-1]):
+            if key == "d" or not dissolved:
+                opacity = float(values[-1]) if key == "d" else 1 - float(values[-1])
+                mapped = _with(mapped, opacity=min(max(opacity, 0.0), 1.0))
+            dissolved |= key == "d"
+        elif key == "map_d" and file:
+            mapped = _with(mapped, opacity_image=file.name)
+        elif key == "map_kd" and file:
             unapplied = {o: v for o, v in file.options.items() if o not in ("-s", "-o")}
-            materials[name] = materials[name]._replace(
-                material=materials[name].material._replace(image=file.name),
+            mapped = _with(mapped, image=file.name)._replace(
                 scale=_pair(file.options.get("-s", ()), 1.0),
                 offset=_pair(file.options.get("-o", ()), 0.0),
                 options=tuple(" ".join([option, *words]) for option, words in unapplied.items()),
             )
-        elif statement.key in SLOTS and name and (file := file_name(statement)):
-            materials[name] = _with_map(materials[name], statement.key, file)
+        elif key in SLOTS and file:
+            mapped = _with_map(mapped, SLOTS[key], file, is_bump="bump" in key)
+        materials[name] = mapped
     return materials
 
 
-def _with_map(mapped: Mapped, key: str, file: FileName) -> Mapped:
-    """The material with the map of another slot; norm goes before a bump map."""
-    slot, maps = SLOTS[key], mapped.material.maps
-    if "bump" in key and (slot in maps or not NORMAL_MAP.search(file.name)):
+def _with_map(mapped: Mapped, slot: Slot, file: FileName, is_bump: bool) -> Mapped:
+    """The material with the map of another slot; norm takes precedence over a bump map."""
+    maps = mapped.material.maps
+    if is_bump and (slot in maps or not NORMAL_MAP.search(file.name)):
         return mapped
     moved = mapped.moved | {slot} if {"-s", "-o"} & file.options.keys() else mapped.moved - {slot}
-    return _saying(mapped, maps={**maps, slot: file.name})._replace(moved=moved)
+    return _with(mapped, maps={**maps, slot: file.name})._replace(moved=moved)
 
 
-def _saying(mapped: Mapped, **properties: Any) -> Mapped:
+def _with(mapped: Mapped, **properties: Any) -> Mapped:
     return mapped._replace(material=mapped.material._replace(**properties))
 
 
@@ -171,52 +177,42 @@ def _pair(words: tuple[str, ...], default: float) -> tuple[float, float]:
 
 
 def files_named(content: bytes) -> list[str]:
-    """Every file that the maps of a library name, as it names them."""
-    names = dict.fromkeys(file.name for s in statements(content) if (file := file_name(s)))
+    """Every file that the maps of a library name."""
+    names = dict.fromkeys(file.name for file in map(file_name, statements(content)) if file)
     if len(names) > MOST_MAPS:
         raise BadFile(f"{len(names):,} maps, more than {MOST_MAPS:,}; leave some out")
     return list(names)
 
 
 def properties(content: bytes) -> list[str]:
-    """What a library says of materials besides the files it names and what `parse_mtl` reads."""
+    """The properties of materials that `parse_mtl` does not read, other than files."""
     keys = dict.fromkeys(s.key for s in statements(content) if file_name(s) is None and s.key not in READ)
     return [key.capitalize() if len(key) == 2 else key for key in keys]
 
 
 def renamed(content: bytes, names: Mapping[str, str]) -> bytes:
-    """The library with other names of files: {old: new}; where they are the same, not a byte changes."""
-    files = filter(None, map(file_name, statements(content)))
-    return edited(
-        content, ((f.start, f.end, names[f.name].encode()) for f in files if names[f.name] != f.name)
-    )
+    """The library with other names of files: {old: new}. Only names that differ change any bytes."""
+    files = (file for file in map(file_name, statements(content)) if file and names[file.name] != file.name)
+    return edited(content, ((file.start, file.end, names[file.name].encode()) for file in files))
 
 
 def repainted(content: bytes, images: Mapping[str, str]) -> bytes:
-    """The library with other images: map_Kd of material m names `images[m]`, added where m has none."""
-    edits: list[tuple[int, int, bytes]] = []
-    new = added = b""
-    heading = 0  # the end of the line of newmtl
-
-    def close() -> None:
-        if added:
-            edits.append((heading, heading, added))
-
+    """The library with other images: map_Kd of material m names `images[m]`; it is added where m has none."""
+    edits: dict[int, tuple[int, int, bytes]] = {}
+    new, heading = b"", 0  # the image of the current material, and the end of the line of its newmtl
     for statement in statements(content):
         if statement.key == "newmtl":
-            close()
-            new = images.get(material_name(statement), "").encode()
-            heading = statement.stop
-            added = line_end(content) + b"map_Kd " + new if new else b""
+            new, heading = images.get(material_name(statement), "").encode(), statement.stop
+            if new:
+                edits[heading] = (heading, heading, line_end(content) + b"map_Kd " + new)
         elif statement.key == "map_kd" and new and (file := file_name(statement)):
-            edits.append((file.start, file.end, new))
-            added = b""
-    close()
-    return edited(content, sorted(edits))
+            edits.pop(heading, None)
+            edits[file.start] = (file.start, file.end, new)
+    return edited(content, (edits[start] for start in sorted(edits)))
 
 
 def edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:
-    """The bytes with some of them exchanged: (start, end, new), in order."""
+    """The bytes with some replaced: (start, end, new), in ascending order."""
     pieces, at = [], 0
     for start, end, new in edits:
         pieces += [content[at:start], new]
@@ -225,6 +221,6 @@ def edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:
 
 
 def line_end(content: bytes) -> bytes:
-    """How the lines of a file end."""
+    """The line end of a file: that of its first line."""
     first = LINE_END.search(content)
     return first[0] if first else b"\n"

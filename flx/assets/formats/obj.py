@@ -1,4 +1,4 @@
-"""Wavefront OBJ taken apart: text → triangles by material.
+"""Parses Wavefront OBJ: text → triangles by material.
 
 Our own reader. trimesh's drops rows that it does not understand, wraps indices that are out of range and
 leaves quadrangles to its mesh class; here every number is read, or the file is refused. Polygons are cut into
@@ -23,26 +23,26 @@ OMITTED = 1 << 62  # stands for the vt of `1//2`
 
 
 class Obj(NamedTuple):
-    """An OBJ file: its parts, and the materials they name by number."""
+    """An OBJ file: its parts, and the names of their materials."""
 
     parts: list[Part]
     names: list[str]  # `Part.material` is an index here, `len(names)` before any usemtl
     rows: Int[Any, "V"]  # the v, from 0, of each vertex of the parts in turn
-    colors: Float64[Any, "P 3"] | None  # of every v, as the file counts them
+    colors: Float64[Any, "P 3"] | None  # of every v, in the file's numbers
     polygons: int  # faces of more than three corners
 
 
 class Lines(NamedTuple):
-    """The rows of one keyword without it, and where they stand: ascending numbers of lines, from 1."""
+    """The rows of one keyword, without it, and their line numbers, ascending from 1."""
 
     rows: list[str]
     places: Int[Any, "N"]
 
 
 def parse_obj(text: str, name: str) -> Obj:
-    """An OBJ file; parts of no material are called `name`.
+    """An OBJ file; parts without a material are called `name`.
 
-    Raises BadFile for what is no number, faces of fewer than three corners and indices out of range.
+    Raises BadFile for words that are not numbers, faces of fewer than three corners and indices out of range.
     """
     lines = _split(text)
     faces, uses = lines["f"], lines["usemtl"]
@@ -119,12 +119,12 @@ def _chunks(rows: Sequence[str]) -> Iterator[Sequence[str]]:
 
 
 def _table(rows: Sequence[str], kind: str, least: int) -> Float64[Any, "N C"]:
-    """The numbers of each row; what only some rows have (colours) is left out."""
+    """The numbers of each row; columns that only some rows have (colours) are left out."""
     widths = [len(row.split()) for row in rows]
     width = min(widths, default=least)
     if width < least:
         place = widths.index(width)
-        raise BadFile(f"{kind} {place + 1}, {rows[place].strip()!r}, has no {least} numbers; export it again")
+        raise BadFile(f"{kind} {place + 1}, {rows[place].strip()!r}, needs {least} numbers; export it again")
     if max(widths, default=width) > width:
         rows = [" ".join(row.split()[:width]) for row in rows]
     tables = [numbers(" ".join(chunk)).reshape(-1, width) for chunk in _chunks(rows)]
@@ -132,7 +132,7 @@ def _table(rows: Sequence[str], kind: str, least: int) -> Float64[Any, "N C"]:
 
 
 def _corners(rows: Sequence[str]) -> Int[Any, "C 3"]:
-    """v, vt and vn of every corner as the file has them, `OMITTED` where it has none."""
+    """v, vt and vn of every corner with the file's indices, `OMITTED` where it has none."""
     tables = []
     for chunk in _chunks(rows):
         words = " ".join(chunk).split()
@@ -149,12 +149,12 @@ def _corners(rows: Sequence[str]) -> Int[Any, "C 3"]:
 def _whole_corner(word: str) -> str:
     indices = word.split("/")
     if not indices[0] or len(indices) > 3:
-        raise BadFile(f"{word[:40]!r} is no corner of a face; export it again")
+        raise BadFile(f"{word[:40]!r} is not a corner of a face; export it again")
     return " ".join([*(index or str(OMITTED) for index in indices), *[str(OMITTED)] * (3 - len(indices))])
 
 
 def _resolve(corners: Int[Any, "C 3"], places: Int[Any, "C"], lines: dict[str, Lines]) -> Int[Any, "C 3"]:
-    """Indices from 0. Negative ones count back from the face's own line."""
+    """The indices, counted from 0. Negative ones count back from the face's own line."""
     resolved = np.empty_like(corners)
     for column, (kind, _) in enumerate(KINDS):
         index, table = corners[:, column], lines[kind].places
@@ -169,7 +169,7 @@ def _resolve(corners: Int[Any, "C 3"], places: Int[Any, "C"], lines: dict[str, L
 
 
 def fans(sizes: Int[Any, "N"]) -> tuple[Int[Any, "F 3"], Int[Any, "F"]]:
-    """Polygons of so many corners, laid end to end, cut into triangles; and the polygon of each."""
+    """Triangles of polygons with these numbers of corners, laid end to end; and the polygon of each."""
     counts = sizes - 2
     owners = np.repeat(np.arange(len(sizes)), counts)
     steps = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -183,11 +183,20 @@ def unmerge(corners: Int[Any, "C K"]) -> tuple[Int[Any, "R K"], Int[Any, "F 3"]]
     return corners[first], which.reshape(-1, 3)
 
 
+def split_corners(
+    faces: Int[Any, "F 3"], uvs: Float64[Any, "F 3 2"]
+) -> tuple[Int[Any, "R"], Float64[Any, "R 2"], Int[Any, "F 3"]]:
+    """A row for each vertex and coordinate that occur together: its vertex, its coordinate, and the faces."""
+    first, which = distinct_rows(uvs.reshape(-1, 2))
+    rows, split = unmerge(np.stack([faces.ravel(), which], 1))
+    return rows[:, 0], uvs.reshape(-1, 2)[first][rows[:, 1]], split
+
+
 def colors_of(values: Float64[Any, "N 3"]) -> Float32[Any, "N 3"]:
-    """Colours in [0, 1] of all that a file has, whether it counts to 1 or, as some do, to 255."""
+    """All colours of a file, scaled to [0, 1]; white is 1 in the file or, in some, 255."""
     return (values / color_scale(values)).clip(0, 1).astype(np.float32)
 
 
 def color_scale(values: Float64[Any, "N 3"]) -> int:
-    """What white is in a file that has these colours: 1 or 255."""
+    """The number that means white in a file with these colours: 1 or 255."""
     return 255 if np.fmax.reduce(values, axis=None, initial=0) > 1 else 1

@@ -1,15 +1,16 @@
-"""An OBJ with the files around it, kept to go out again as it came in: other colours, and nothing else.
+"""An OBJ with the files that it names, kept so that it can be written again with nothing but other colours.
 
-Quads, groups, smoothing, comments and the order of rows never pass through triangles: the text is the one
-that was read, held as bytes (80 MB for a million faces, about what its arrays take), so that a file that
-changes on disk meanwhile cannot be mixed with geometry read before. Maps are read again when they are copied.
+The text that was read is kept as bytes (80 MB for a million faces, about the size of its arrays), so quads,
+groups, smoothing, comments and the order of rows survive, and a file that changes on disk cannot be mixed
+with geometry read before. Maps are read again when they are copied.
 
-What is copied beside an OBJ is in the folder of the asset or below it, a regular file, and called like an
-image: a stranger's MTL must neither fetch a user's files nor plant a script where he writes his results.
+Only regular files with the suffix of an image, in the folder of the asset or below it, are copied with an
+OBJ: a stranger's MTL must neither fetch a user's files nor plant a script among the results.
 """
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,25 +18,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
+from flx.assets.formats import mtl
 from flx.assets.formats.files import BadFile, found_beside, inside, is_there, limit, read_file
-from flx.assets.formats.mtl import (
-    edited,
-    files_named,
-    line_end,
-    material_name,
-    renamed,
-    repainted,
-    statements,
-)
+from flx.assets.formats.mtl import edited, files_named, line_end, repainted
 from flx.assets.formats.obj import color_scale
 from flx.files import write_atomically
 from flx.geometry.color import quantized
 
-# What other programs read as a map; flx itself reads fewer kinds.
+# Files that other programs read as a map; flx itself reads fewer kinds.
 SUFFIXES = (".png", ".jpg", ".jpeg", ".jp2", ".webp", ".bmp", ".tga", ".tif", ".tiff")
 SUFFIXES += (".gif", ".psd", ".exr", ".hdr", ".dds", ".ktx", ".ktx2")
 
-# A statement goes on in the next line after a backslash; lines end as on any system.
+# A statement continues in the next line after a backslash; lines end as on any system.
 BOM = b"\xef\xbb\xbf"
 NEXT_LINE = rb"\\(?:\r\n|\r|\n)"
 GAP = rb"(?:[ \t\v\f]|" + NEXT_LINE + rb")"
@@ -57,23 +51,22 @@ class ObjSource(NamedTuple):
 
     folder: Path
     text: bytes
-    libraries: dict[str, bytes]  # MTL files that are there, by name; absolute paths in them made relative
-    maps: dict[str, str]  # files that these name and that are there: the name in the MTL, and in the folder
+    libraries: dict[str, bytes]  # existing MTL files, by name; absolute paths in them made relative
+    maps: dict[str, str]  # existing files that these name: {name in the MTL: name in the folder}
     rows: Int[Any, "V"]  # the v of each vertex of the asset's parts in turn
     colors: Float64[Any, "P 3"] | None  # of every v, as the file counts them
 
 
 def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[str], dict[str, str]]:
-    """The MTL files that an OBJ names, the names of those that are not there, and the images found under
-    another name than theirs.
+    """The MTL files that an OBJ names, the names of missing ones, and the images found under another name.
 
     Raises BadFile for one outside of the folder, and for more than `FLX_MAX_BYTES` in all.
     """
     libraries: dict[str, bytes] = {}
     renames: dict[str, str] = {}
     missing, size = [], 0
-    named = (_names(folder, match["value"]) for match in _statements(LIBRARY, text))
-    for name in dict.fromkeys(name for names in named for name in names):
+    uses = _statements(LIBRARY, text)
+    for name in dict.fromkeys(name for use in uses for name in _names(folder, use["value"])):
         try:
             content = read_file(inside(folder, name))
         except FileNotFoundError:
@@ -82,12 +75,12 @@ def read_libraries(folder: Path, text: bytes) -> tuple[dict[str, bytes], list[st
         if (size := size + len(content)) > (most := limit("FLX_MAX_BYTES")):
             raise BadFile(f"its MTL files have more than {most:,} bytes; reduce them, or set FLX_MAX_BYTES")
         own = {n: _relative(folder, n) for n in files_named(content)}
-        libraries[name], renames = renamed(content, own), renames | own
+        libraries[name], renames = mtl.renamed(content, own), renames | own
     return libraries, missing, {n: o for n, o in renames.items() if n != o and not is_there(folder, n)}
 
 
 def _statements(pattern: re.Pattern[bytes], text: bytes) -> Iterator[re.Match[bytes]]:
-    """Where a pattern begins a statement. Words are found ten times faster than beginnings of lines."""
+    """The matches that begin a statement. Searching words is ten times faster than searching line starts."""
     for match in pattern.finditer(text):
         at = match.start()
         while at and text[at - 1] in b" \t\v\f":
@@ -108,9 +101,9 @@ def _names(folder: Path, value: bytes) -> list[str]:
 
 
 def _relative(folder: Path, name: str) -> str:
-    """A name that comes into the folder from outside becomes relative, for the file goes along; and one that
-    leads nowhere becomes that of the image which it means."""
-    if not is_there(folder, name) and (meant := found_beside(folder, name)).lower().endswith(SUFFIXES):
+    """The name relative to the folder, so that it stays valid when the file is copied. A dangling name
+    becomes that of the image which it means."""
+    if (meant := found_beside(folder, name)).lower().endswith(SUFFIXES):
         return meant
     try:
         own = _own_name(folder, name)
@@ -135,39 +128,42 @@ def _plain(name: str) -> str:
 
 
 def find_maps(folder: Path, libraries: Mapping[str, bytes]) -> tuple[dict[str, str], list[str]]:
-    """The files that the libraries name: those that can go along, and those that cannot.
+    """The files that the libraries name: those that can be copied, and those that cannot.
 
     Raises BadFile where they have more than four times `FLX_MAX_BYTES` in all.
     """
-    copied, missing, sizes = {}, [], {}
-    most = limit("FLX_MAX_BYTES")
-    for name in dict.fromkeys(name for content in libraries.values() for name in files_named(content)):
+    copied, missing, sizes, most = {}, [], {}, limit("FLX_MAX_BYTES")
+    for name in _all_files(libraries.values()):
         try:
             own, path = _own_name(folder, name), inside(folder, name)
-            there = own.lower().endswith(SUFFIXES) and path.is_file() and path.stat().st_size <= most
+            if own.lower().endswith(SUFFIXES) and path.is_file() and path.stat().st_size <= most:
+                copied[name], sizes[own] = own, path.stat().st_size
         except (BadFile, OSError):
-            there = False
-        if not there:
+            pass
+        if name not in copied:
             missing.append(name)
-            continue
-        copied[name], sizes[own] = own, path.stat().st_size
     if sum(sizes.values()) > 4 * most:
         raise BadFile(f"its maps have more than {4 * most:,} bytes; reduce them, or set FLX_MAX_BYTES")
     return copied, missing
+
+
+def _all_files(libraries: Iterable[bytes]) -> list[str]:
+    return list(dict.fromkeys(name for content in libraries for name in files_named(content)))
 
 
 # ---------------------------------------------------------------------------------------------- writing
 
 
 def write_painted(source: ObjSource, images: Mapping[str, str], fresh: str, path: Path) -> None:
-    """The OBJ whose material m shows the image file `images[m]`, which lies beside `path`.
+    """The OBJ whose material m shows the image file `images[m]`, which is in the folder of `path`.
 
-    "" stands for faces without a material, which get the one called `fresh`. What no library defines is added
-    to the first.
+    "" stands for faces without a material, which get the one called `fresh`. Materials that no library
+    defines are added to the first.
     """
     named = {name or fresh: image for name, image in images.items()}
     libraries = {name: repainted(content, named) for name, content in source.libraries.items()}
-    added = {m: image for m, image in named.items() if m not in material_names(source)}
+    defined = material_names(source)
+    added = {m: image for m, image in named.items() if m not in defined}
     if added:
         first = next(iter(libraries), "")
         libraries[first] = _with_materials(libraries.get(first, b""), added)
@@ -176,9 +172,9 @@ def write_painted(source: ObjSource, images: Mapping[str, str], fresh: str, path
 
 
 def write_colored(source: ObjSource, rows: Int[Any, "N"], colors: Float32[Any, "N 3"], path: Path) -> None:
-    """The OBJ with other colours of the v in `rows`, their mean where one stands there several times.
+    """The OBJ with other colours of the v in `rows`; a v that occurs several times gets the mean.
 
-    Counts to 1 or to 255 as the file does; other v keep their own. Raises ValueError where a v has no colour.
+    White is 1 or 255 as in the file; other v keep their colours. Raises ValueError where a v has no colour.
     """
     channels = (match.span(group) for match in COLORED.finditer(source.text) for group in (4, 5, 6))
     places = np.fromiter((end for span in channels for end in span), np.int64).reshape(-1, 3, 2)
@@ -190,7 +186,7 @@ def write_colored(source: ObjSource, rows: Int[Any, "N"], colors: Float32[Any, "
     means = (np.stack(sums, 1)[used] / counts[used, None]).astype(np.float32)
     table = source.colors.copy()
     table[used] = quantized(means)
-    # A file of 255 that is black by now would be taken for one that counts to 1, and so it is written.
+    # If white was 255 and the colours are now too dark to show it, they are written as if white were 1.
     whole = color_scale(source.colors) == color_scale(table) == 255
     word, numbers = (b"%d", quantized(means)) if whole else (b"%.9g", means)
     spans = zip(places[used].reshape(-1, 2).tolist(), numbers.ravel().tolist(), strict=True)
@@ -204,32 +200,27 @@ def write_copy(source: ObjSource, path: Path) -> None:
 
 
 def only_object(source: ObjSource) -> str:
-    """The name of the one object there is; "" without one, and where there are several."""
+    """The name of the only object; "" without one, and where there are several."""
     names = {match["value"].strip() for match in _statements(OBJECT, source.text)}
     return names.pop().decode(errors="replace") if len(names) == 1 else ""
 
 
 def structure(source: ObjSource) -> dict[str, int]:
-    """How many objects, groups and smoothing groups the text has; no smoothing counts none."""
-    names: dict[bytes, set[bytes]] = {b"o": set(), b"g": set(), b"s": set()}
-    for match in _statements(STRUCTURE, source.text):
-        names[match["key"]].add(match["value"].strip())
-    objects, groups, smooth = names.values()
-    smooth -= {b"off", b"0", b""}
-    return {"object": len(objects), "group": len(groups), "smoothing group": len(smooth)}
+    """How many objects, groups and smoothing groups the text has."""
+    names = {(match["key"], match["value"].strip()) for match in _statements(STRUCTURE, source.text)}
+    counts = Counter(key for key, _ in names - {(b"s", b"off"), (b"s", b"0"), (b"s", b"")})
+    return {"object": counts[b"o"], "group": counts[b"g"], "smoothing group": counts[b"s"]}
 
 
 def has_lines(source: ObjSource) -> bool:
-    """Whether the text has elements that are no faces: lines or points."""
+    """Whether the text has lines or points."""
     return next(_statements(LINE, source.text), None) is not None
 
 
 def material_names(source: ObjSource) -> set[str]:
     """The materials that the libraries define."""
-    definitions = [
-        s for content in source.libraries.values() for s in statements(content) if s.key == "newmtl"
-    ]
-    return set(map(material_name, definitions))
+    found = (s for content in source.libraries.values() for s in mtl.statements(content))
+    return {mtl.material_name(statement) for statement in found if statement.key == "newmtl"}
 
 
 def _with_materials(library: bytes, images: Mapping[str, str]) -> bytes:
@@ -240,7 +231,7 @@ def _with_materials(library: bytes, images: Mapping[str, str]) -> bytes:
 
 
 def _with_material_of_the_rest(text: bytes, name: str) -> bytes:
-    """The text with a usemtl before its first face, and a name where a usemtl has none."""
+    """The text with a usemtl before its first face, and a name for each usemtl without one."""
     uses = list(_statements(USE, text))
     edits = [(use.end(), use.end(), b" " + name.encode()) for use in uses if not use["value"].strip()]
     first = next(_statements(FACE, text), None)
@@ -250,14 +241,17 @@ def _with_material_of_the_rest(text: bytes, name: str) -> bytes:
 
 
 def library_files(source: ObjSource, path: Path) -> dict[str, Path]:
-    """Where each library goes that an OBJ at `path` will name; at least one."""
-    names = enumerate(list(source.libraries) or [""])
+    """The path of each library that an OBJ at `path` will name; at least one."""
+    names = enumerate(source.libraries or [""])
     return {name: path.with_name(f"{path.stem}_{k}.mtl" if k else f"{path.stem}.mtl") for k, name in names}
 
 
 def _write(source: ObjSource, libraries: Mapping[str, bytes], text: bytes, path: Path) -> None:
-    """Maps, libraries and, last, the OBJ that names them."""
-    _copy_maps(source, _maps_of(source, libraries.values()), path.parent)
+    """Maps, libraries and, last, the OBJ that names them. A map that is already there is not copied."""
+    for name in _all_files(libraries.values()):
+        if name in source.maps and not (target := inside(path.parent, source.maps[name])).exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(target, read_file(inside(source.folder, name)))
     files = library_files(source, path)
     for name, content in libraries.items():
         write_atomically(files[name], content)
@@ -265,48 +259,31 @@ def _write(source: ObjSource, libraries: Mapping[str, bytes], text: bytes, path:
 
 
 def _naming(source: ObjSource, text: bytes, written: Mapping[str, str]) -> bytes:
-    """The text with mtllib naming the files written. Without an MTL before: it stands in for what is missing,
-    or comes first."""
-    stand_in = written.get("")
-    edits, named = [], False
+    """The text with the names of the written files after mtllib. An MTL under the name "" is new: it replaces
+    missing ones, or gets an mtllib at the top."""
+    stand_in, edits = written.get(""), []
     for match in _statements(LIBRARY, text):
         names = [written.get(n, stand_in or n) for n in _names(source.folder, match["value"])]
         names = names or [stand_in or ""]
         start = match.start("value")
         gap = b"" if match["value"] or not names[0] else b" "
         edits.append((start, start + len(match["value"].rstrip()), gap + " ".join(names).encode()))
-        named = True
-    if stand_in and not named:
+    if stand_in and not edits:
         at = len(BOM) if text.startswith(BOM) else 0
         edits.append((at, at, f"mtllib {stand_in}".encode() + line_end(text)))
     return edited(text, edits)
 
 
 def other_names(source: ObjSource, painted: Iterable[str]) -> list[str]:
-    """The files, as the libraries name them, that are still named where materials get other base colours."""
-    images = dict.fromkeys(painted, "\0")  # no file is called so
-    libraries = [repainted(content, images) for content in source.libraries.values()]
-    names = dict.fromkeys(name for content in libraries for name in files_named(content))
-    return [name for name in names if name != "\0"]
-
-
-def _maps_of(source: ObjSource, libraries: Iterable[bytes]) -> list[str]:
-    names = dict.fromkeys(name for content in libraries for name in files_named(content))
-    return [name for name in names if name in source.maps]
+    """The files that the libraries still name after the `painted` materials get other base colours."""
+    images = dict.fromkeys(painted, "\0")  # not a valid name of a file
+    libraries = (repainted(content, images) for content in source.libraries.values())
+    return [name for name in _all_files(libraries) if name != "\0"]
 
 
 def check_maps(source: ObjSource, names: Iterable[str], folder: Path) -> None:
-    """Raises ValueError where a map cannot be copied to a folder: another file is called so there."""
+    """Raises ValueError where a map cannot be copied to a folder, because a different file has its name."""
     for name in names:
         target = inside(folder, source.maps[name])
         if target.exists() and read_file(target) != read_file(inside(source.folder, name)):
-            raise ValueError(f"{target} is there, and is another image than {name}; name another --out")
-
-
-def _copy_maps(source: ObjSource, names: Iterable[str], folder: Path) -> None:
-    """Every map under its own name in another folder, unless it is there."""
-    for name in names:
-        target = inside(folder, source.maps[name])
-        if not target.exists():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(target, read_file(inside(source.folder, name)))
+            raise ValueError(f"{target} exists and differs from the map {name}; name another --out")

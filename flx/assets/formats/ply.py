@@ -1,32 +1,33 @@
-"""Polygon files (PLY) taken apart: bytes → triangles.
+"""Parses polygon files (PLY): bytes → triangles.
 
-Our own reader. trimesh's invents vertices for an ASCII file that ends early, refuses binary files in which
-triangles and quadrangles mix, and takes one texture of several; here the header is held against the bytes
-before anything is made of its counts. ASCII bodies become float64 numbers and are read as a binary body is.
+Our own reader. trimesh's invents vertices for an ASCII file that ends early, refuses binary files that mix
+triangles and quadrangles, and reads only one of several textures; here the counts in the header are checked
+against the size of the body first. An ASCII body is converted to float64 and read as a binary one.
 """
 
 import itertools
 import re
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int, Num
 
 from flx.assets.formats.files import BadFile, check_faces, numbers
-from flx.assets.formats.obj import colors_of, fans, unmerge
+from flx.assets.formats.obj import colors_of, fans, split_corners
 from flx.assets.formats.parts import Part
-from flx.geometry.arrays import distinct_rows
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
+NORMAL, COLOR = ("nx", "ny", "nz"), ("red", "green", "blue")
 READ = {
-    "vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"},
+    "vertex": {"x", "y", "z", *NORMAL, *COLOR},
     "face": {"vertex_indices", "vertex_index", "texcoord", "texnumber"},
 }
-ASCII = "ASCII text"  # what is written is binary
+ASCII = "ASCII text"  # not kept: flx writes binary
 CHUNK = 1 << 22  # characters of an ASCII body handled at a time
 MOST_HEADER = 1 << 16
 COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
@@ -56,16 +57,16 @@ class Column(NamedTuple):
 
 
 class Ply(NamedTuple):
-    """A PLY file: its parts (`material` is the number of an image), its images, what was cut."""
+    """A PLY file: its parts (`material` is the index of an image), its images, and what was not read."""
 
     parts: list[Part]
     images: list[str]
     polygons: int  # faces of more than three corners
-    unread: tuple[str, ...]  # what else there is, in words
+    unread: tuple[str, ...]  # everything else, in words
 
 
 def parse_ply(content: bytes, name: str) -> Ply:
-    """Raises BadFile for a header that is none, a body shorter than it says, and indices out of range."""
+    """Raises BadFile for a broken header, a body shorter than the header states, and indices out of range."""
     elements, images, order, head = _header(content)
     at, is_ascii = head, order is None
     body: Body = content
@@ -112,14 +113,14 @@ def _header(content: bytes) -> tuple[list[Element], list[str], str | None, int]:
             case ["comment" | "obj_info", *_] | []:
                 pass
             case _:
-                raise BadFile(f"header line {line[:60]!r} is no PLY; export it again")
+                raise BadFile(f"header line {line[:60]!r} is not PLY; export it again")
     if order == "":
         raise BadFile("the PLY header names no format; export it again")
     return elements, images, order, end.end()
 
 
 def _unread(elements: list[Element], header: bytes, is_ascii: bool) -> tuple[str, ...]:
-    """Properties, elements and comments that nothing is made of."""
+    """Properties, elements and comments that are not used."""
     unread = []
     for element in elements:
         names = {p.name for p in element.properties}
@@ -143,7 +144,7 @@ ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def _pieces(text: str) -> list[tuple[int, int]]:
-    """Cuts of a text at white space, so that a piece's words do not take much memory."""
+    """Pieces (start, end) of a text, cut at white space, whose words do not take much memory."""
     cuts = [0]
     while cuts[-1] < len(text):
         blank = re.compile(r"\s").search(text, cuts[-1] + CHUNK)
@@ -157,9 +158,8 @@ def _read(
     """The columns of one element, and where the next begins."""
     if not element.properties or not element.length:
         return {}, start
-    fields = [
-        (p.name, order + read_as[p.type], p.count and order + read_as[p.count]) for p in element.properties
-    ]
+    dtypes = {kind: order + word for kind, word in read_as.items()}
+    fields = [(p.name, dtypes[p.type], p.count and dtypes[p.count]) for p in element.properties]
     least = sum(np.dtype(count or kind).itemsize for _, kind, count in fields)
     if len({name for name, *_ in fields}) < len(fields):
         raise BadFile(f"element {element.name!r} has a property twice; export it again")
@@ -173,17 +173,16 @@ def _read(
 def _read_alike(
     element: Element, fields: list[Field], content: Body, start: int
 ) -> tuple[dict[str, Column], int] | None:
-    """Rows with lists as long as those of the first; None where they are not."""
+    """Rows whose lists all have the lengths of the first row's; None if they differ."""
     layout, at = [], start
     for name, kind, count in fields:
         size = 1
         if count:
             try:
-                size = _size(np.frombuffer(content, count, 1, at)[0])
+                size, at = _size(content, count, at)
             except ValueError:
                 return None
             layout.append((f"{name} size", count, (1,)))
-            at += np.dtype(count).itemsize
         layout.append((name, kind, (size,)))
         at += np.dtype(kind).itemsize * size
         if at > len(content):
@@ -211,27 +210,29 @@ def _read_each(
             size, width = 1, np.dtype(kind).itemsize
             try:
                 if count:
-                    size = _size(np.frombuffer(content, count, 1, start)[0])
-                    start += np.dtype(count).itemsize
+                    size, start = _size(content, count, start)
                 if start + width * size > len(content):
                     raise ValueError
             except ValueError:
                 raise BadFile(f"{element.name} {row} is cut off or broken; export it again") from None
             values[name].append(np.frombuffer(content, kind, size, start))
             start += width * size
-    return {
-        name: Column(
-            np.concatenate(values[name]), np.array([len(v) for v in values[name]]) if count else None
-        )
-        for name, _, count in fields
-    }, start
+    columns = {}
+    for name, _, count in fields:
+        sizes = np.array([len(rows) for rows in values[name]]) if count else None
+        columns[name] = Column(np.concatenate(values[name]), sizes)
+    return columns, start
 
 
-def _size(value: Any) -> int:
-    """The length of a list, which in an ASCII file is a float. Raises ValueError where it cannot be one."""
+def _size(content: Body, kind: str, at: int) -> tuple[int, int]:
+    """The length of a list, which in an ASCII file is a float, and where its values begin.
+
+    Raises ValueError where it is not a length.
+    """
+    value = np.frombuffer(content, kind, 1, at)[0]
     if not 0 <= value < 1 << 31 or value != int(value):
-        raise ValueError(f"{value} is no length of a list")
-    return int(value)
+        raise ValueError(f"{value} is not the length of a list")
+    return int(value), at + np.dtype(kind).itemsize
 
 
 # ---------------------------------------------------------------------------------------------- the mesh
@@ -245,8 +246,8 @@ def _parts(
     corners: Column,
     images: list[str],
 ) -> Ply:
-    with np.errstate(invalid="ignore"):  # what is not finite is refused by name, later
-        points = np.stack([vertex[axis].values for axis in "xyz"], 1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # numbers that are not finite are refused by name, later
+        points = _stacked(vertex, "xyz")
     assert corners.sizes is not None
     if (corners.sizes < 3).any():
         raise BadFile(f"face {(corners.sizes < 3).argmax()} has fewer than three corners; export it again")
@@ -259,10 +260,12 @@ def _parts(
     faces = indices.astype(np.int64)[triangles]
     rows, uvs = np.arange(len(points)), None
     for pair in COORDINATES:
-        if set(pair) <= vertex.keys():
-            uvs = np.stack([vertex[axis].values for axis in pair], 1).astype(np.float64)
+        uvs = _stacked(vertex, pair) if set(pair) <= vertex.keys() else uvs
     if (wedge := face.get("texcoord")) is not None and wedge.sizes is not None:
-        rows, uvs, faces = _wedges(wedge, corners.sizes, faces, triangles)
+        if (wedge.sizes != 2 * corners.sizes).any():
+            raise BadFile("texcoord does not have two numbers for each corner; export it again")
+        coordinates = wedge.values.astype(np.float64).reshape(-1, 2)
+        rows, uvs, faces = split_corners(faces, coordinates[triangles])
     if uvs is not None:
         uvs = uvs * [1, -1] + [0, 1]
 
@@ -273,14 +276,12 @@ def _parts(
         number = face["texnumber"].values.astype(np.int64)[owners]
     if len(number) and not 0 <= number.min() <= number.max() < max(len(images), 1):
         raise BadFile(f"a face has texture {number.max()} of {len(images)}; export it again")
-    normals, colors = _triple(vertex, ("nx", "ny", "nz")), _triple(vertex, ("red", "green", "blue"))
-    if colors is not None:
-        whole = kinds["red"][0] in "iu"
-        colors = (
-            (colors / np.iinfo(kinds["red"]).max).clip(0, 1).astype(np.float32)
-            if whole
-            else colors_of(colors)
-        )
+    normals = _stacked(vertex, NORMAL) if set(NORMAL) <= vertex.keys() else None
+    colors = None
+    if set(COLOR) <= vertex.keys():
+        colors, kind = _stacked(vertex, COLOR), kinds["red"]
+        whole = kind[0] in "iu"
+        colors = (colors / np.iinfo(kind).max).clip(0, 1).astype(np.float32) if whole else colors_of(colors)
     parts = []
     for image in np.unique(number):
         used, compact = np.unique(faces[number == image], return_inverse=True)
@@ -299,19 +300,5 @@ def _parts(
     return Ply(parts, images, int((corners.sizes > 3).sum()), ())
 
 
-def _triple(vertex: dict[str, Column], names: tuple[str, str, str]) -> Float64[Any, "V 3"] | None:
-    if not set(names) <= vertex.keys():
-        return None
+def _stacked(vertex: dict[str, Column], names: Iterable[str]) -> Float64[Any, "V C"]:
     return np.stack([vertex[name].values for name in names], 1).astype(np.float64)
-
-
-def _wedges(
-    wedge: Column, sizes: Int[Any, "N"], faces: Int[Any, "F 3"], triangles: Int[Any, "F 3"]
-) -> tuple[Int[Any, "R"], Float64[Any, "R 2"], Int[Any, "F 3"]]:
-    """Coordinates of corners: the vertex and the coordinates of each row, and the faces made of rows."""
-    if (wedge.sizes != 2 * sizes).any():
-        raise BadFile("texcoord does not have two numbers for each corner; export it again")
-    coordinates = wedge.values.astype(np.float64).reshape(-1, 2)
-    first, kinds = distinct_rows(coordinates)
-    rows, made = unmerge(np.stack([faces.reshape(-1), kinds[triangles.reshape(-1)]], 1))
-    return rows[:, 0], coordinates[first][rows[:, 1]], made

@@ -1,8 +1,7 @@
-"""The file formats: each reader turns a file into `Contents`, and judges nothing.
+"""The readers: each turns a file of one format into `Contents`, which `flx.assets.assemble` checks.
 
-`flx.assets.formats.gltf`, `obj`, `mtl` and `ply` take the files apart; here the images that a mesh names are
-looked up, and decoded by the caller. Texture coordinates run right and down in what is returned, whatever
-the format.
+`flx.assets.formats.gltf`, `obj`, `mtl` and `ply` parse the files; here the images that a mesh names are
+looked up, and the caller decodes them. In `Contents` texture coordinates always run right and down.
 """
 
 from collections.abc import Callable
@@ -13,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from flx.assets.formats import gltf
-from flx.assets.formats.files import BadFile, found_beside, inside, is_there, read_file, substitution
+from flx.assets.formats import glb, gltf
+from flx.assets.formats.files import BadFile, found_beside, inside, read_file, substitution
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.mtl import Mapped, parse_mtl
 from flx.assets.formats.obj import parse_obj
@@ -28,18 +27,18 @@ Picture = UInt8[Any, "H W C"]  # an image that was given as an array: RGB, or RG
 
 
 class Contents(NamedTuple):
-    """A file, read but not yet judged."""
+    """A file, read but not yet checked."""
 
     parts: list[Part]
     materials: list[Material]
     load_image: Callable[[str], bytes | Picture]
-    hint: str  # where a texture was looked for
-    container: Gltf | ObjSource | None
-    missing_images: tuple[str, ...]
+    hint: str = ""  # where a texture was looked for
+    container: Gltf | ObjSource | None = None
+    missing_images: tuple[str, ...] = ()
     polygons: int = 0  # faces of more than three corners, cut
     ignored_options: tuple[str, ...] = ()  # of map_Kd
-    unread: tuple[str, ...] = ()  # what else a PLY has
-    found_images: tuple[str, ...] = ()  # under another name than the file's
+    unread: tuple[str, ...] = ()  # other properties, elements and comments of a PLY
+    found_images: tuple[str, ...] = ()  # images found under another name than the file's
     slot_uvs: Callable[[Part, Slot], Float64[Any, "V 2"] | None] = lambda part, _: part.uvs
 
 
@@ -63,35 +62,32 @@ def gltf_contents(container: Gltf) -> Contents:
                 raise BadFile(f"the texture of material {index} has {kinds[:80]}; save it as PNG or JPEG")
         name, base = entry.get("name", f"material {index}"), names.pop("base_color", None)
         flat = _flat_values(entry)
-        materials.append(Material(name, _base_color(entry), base, maps=names, flat=flat))
-    materials.append(Material("default", (1.0, 1.0, 1.0), None))
+        materials.append(Material(name, flat.pop("base_color"), base, maps=names, flat=flat))
+    materials.append(Material("default"))
     return Contents(
         parts=gltf.parts(container),
         materials=materials,
         load_image=lambda name: gltf.image_bytes(container, int(name.rpartition("#")[2])),
         hint="no material has a base colour texture",
         container=container,
-        missing_images=tuple(i.get("uri", "an image without data") for i in images if "bufferView" not in i),
+        missing_images=tuple(glb.missing_images(container)),
         found_images=container.substitutions,
         slot_uvs=partial(gltf.slot_uvs, container),
     )
 
 
-def _base_color(material: dict) -> tuple[float, float, float]:
-    """The flat colour of a material, in sRGB."""
-    r, g, b = srgb(np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1])[:3]))
-    return float(r), float(g), float(b)
-
-
 def _flat_values(material: dict) -> dict[Slot, tuple[float, float, float]]:
-    """What a material has all over in slots other than its base colour; what is no number is left out."""
+    """The values of a material without images, colours in sRGB; entries that are not numbers are left out."""
     pbr = material.get("pbrMetallicRoughness", {})
-    factors = [1.0, pbr.get("roughnessFactor", 1), pbr.get("metallicFactor", 1)]
-    said: dict[Slot, Any] = {"metallic_roughness": factors, "emissive": material.get("emissiveFactor")}
+    factors: dict[Slot, Any] = {
+        "base_color": pbr.get("baseColorFactor", [1, 1, 1])[:3],
+        "metallic_roughness": [1.0, pbr.get("roughnessFactor", 1), pbr.get("metallicFactor", 1)],
+        "emissive": material.get("emissiveFactor"),
+    }
     values: dict[Slot, tuple[float, float, float]] = {}
-    for slot, rows in said.items():
+    for slot, rows in factors.items():
         if isinstance(rows, list) and len(rows) == 3 and all(isinstance(x, int | float) for x in rows):
-            r, g, b = srgb(np.array(rows)) if slot == "emissive" else rows
+            r, g, b = rows if slot == "metallic_roughness" else srgb(np.array(rows))
             values[slot] = (float(r), float(g), float(b))
     return values
 
@@ -99,7 +95,7 @@ def _flat_values(material: dict) -> dict[Slot, tuple[float, float, float]]:
 def _read_obj(path: Path) -> Contents:
     content = read_file(path)
     if b"\0" in content:
-        raise BadFile("not a text, as an OBJ file is; export it again")
+        raise BadFile("not text, as an OBJ file is; export it again")
     obj = parse_obj(content.decode("utf-8-sig", errors="replace"), path.stem)
     libraries, lost, renames = read_libraries(path.parent, content)
     maps, missing = find_maps(path.parent, libraries)
@@ -107,9 +103,7 @@ def _read_obj(path: Path) -> Contents:
     for library in libraries.values():
         defined |= parse_mtl(library)
     hint = "no map_Kd in the material file" if libraries else "no material file, mtllib, is named"
-    white = Mapped(Material(path.stem, (1.0, 1.0, 1.0), None))
-    named = [defined.get(n, white._replace(material=white.material._replace(name=n))) for n in obj.names]
-    mapped = [*named, white]
+    mapped = [*(defined.get(n, Mapped(Material(n))) for n in obj.names), Mapped(Material(path.stem))]
     return Contents(
         parts=[_moved(part, mapped[part.material]) for part in obj.parts],
         materials=[each.material for each in mapped],
@@ -125,19 +119,18 @@ def _read_obj(path: Path) -> Contents:
 
 
 def _obj_uvs(part: Part, mapped: Mapped, slot: Slot) -> Float64[Any, "V 2"] | None:
-    """Raises BadFile for a map of another slot that is not read: of roughness, or moved otherwise."""
+    """Raises BadFile for a roughness map, and for one that is not placed like map_Kd."""
     name = mapped.material.name
     if slot == "metallic_roughness" and slot in mapped.material.maps:
         raise BadFile(f"map_Pr and map_Pm of {name!r} are not read; convert the mesh to GLB")
-    still = (mapped.scale, mapped.offset) == ((1.0, 1.0), (0.0, 0.0))
-    if slot in mapped.material.maps and (slot in mapped.moved or not still):
+    if slot in mapped.material.maps and (slot in mapped.moved or mapped.is_placed):
         raise BadFile(f"the {slot} map of {name!r} and its map_Kd have -s or -o; convert the mesh to GLB")
     return part.uvs
 
 
 def _moved(part: Part, mapped: Mapped) -> Part:
-    """The part with its texture coordinates as `-s` and `-o` of its image place them; v runs up there."""
-    if part.uvs is None or (mapped.scale, mapped.offset) == ((1.0, 1.0), (0.0, 0.0)):
+    """The part with its texture coordinates as `-s` and `-o` of its image place them; for these v runs up."""
+    if part.uvs is None or not mapped.is_placed:
         return part
     flip = [1, -1] * part.uvs + [0, 1]
     return part._replace(uvs=(flip * mapped.scale + mapped.offset) * [1, -1] + [0, 1])
@@ -145,17 +138,13 @@ def _moved(part: Part, mapped: Mapped) -> Part:
 
 def _read_ply(path: Path) -> Contents:
     ply = parse_ply(read_file(path), path.stem)
-    renames = {
-        n: o for n in ply.images if not is_there(path.parent, n) and (o := found_beside(path.parent, n))
-    }
+    renames = {name: found for name in ply.images if (found := found_beside(path.parent, name))}
     images = [renames.get(name, name) for name in ply.images] or [None]
     return Contents(
         parts=ply.parts,
-        materials=[Material(path.stem, (1.0, 1.0, 1.0), image) for image in images],
+        materials=[Material(path.stem, image=image) for image in images],
         load_image=partial(load_beside, path.parent),
         hint="no comment TextureFile",
-        container=None,
-        missing_images=(),
         polygons=ply.polygons,
         unread=ply.unread,
         found_images=tuple(map(substitution, renames.items())),
@@ -163,7 +152,7 @@ def _read_ply(path: Path) -> Contents:
 
 
 def load_beside(folder: Path, name: str) -> bytes:
-    """The bytes of an image beside a mesh. Raises FileNotFoundError with the name as the mesh has it."""
+    """The bytes of an image in the mesh's folder. Raises FileNotFoundError with the mesh's name for it."""
     try:
         return read_file(inside(folder, name))
     except FileNotFoundError as fault:

@@ -1,7 +1,7 @@
-"""What must hold of a glTF document before any of it is trusted: kinds of values, and indices that lead
-somewhere. Only what this project reads or writes is looked at; extras and unknown extensions are not.
+"""Checks a glTF document before any of it is used: the types of values, and that indices are in range.
 
-A rule is a function of a value, its place in words, and the document; it raises BadFile or returns nothing.
+Only what this project reads or writes is checked; extras and unknown extensions are not. A rule is a function
+of a value, its place in words, and the document; it raises BadFile or returns nothing.
 """
 
 import math
@@ -14,45 +14,60 @@ Rule = Callable[[Any, str, dict], None]
 
 
 def check_document(document: Any) -> None:
-    """Raises BadFile where the document is no glTF 2.0, needs what is not known here, or misleads."""
+    """Raises BadFile for a document that is not glTF 2.0, is inconsistent, or requires unknown extensions."""
     if not isinstance(document, dict):
-        raise BadFile("its JSON is no object; export it again as glTF 2.0")
+        raise BadFile("its JSON is not an object; export it again as glTF 2.0")
     _GLTF(document, "", document)
     version = document.get("asset", {}).get("version", "2.0")
     if not version.startswith("2."):
         raise BadFile(f"glTF version {version[:20]!r}; export it again as glTF 2.0")
-    for extensions, what in UNREADABLE.items():
-        if compressed := set(extensions) & set(document.get("extensionsUsed", [])):
-            raise BadFile(f"its {what} ({min(compressed)}); save it without compression")
+    if compressed := COMPRESSED & set(document.get("extensionsUsed", [])):
+        raise BadFile(f"its geometry is compressed ({min(compressed)}); save it without compression")
     unknown = set(document.get("extensionsRequired", [])) - KNOWN
-    unknown = {name for name in unknown if not name.startswith("KHR_materials_")}  # they say how light falls
-    if unknown:
+    if unknown := {name for name in unknown if not name.startswith("KHR_materials_")}:  # only about lighting
         raise BadFile(f"it requires the extension {min(unknown)[:60]!r}; export it without")
     _check_tree(document)
 
 
-UNREADABLE = {
-    (
-        "KHR_draco_mesh_compression",
-        "EXT_meshopt_compression",
-        "KHR_meshopt_compression",
-        "MESHOPT_compression",
-    ): "geometry is compressed",
+COMPRESSED = {
+    *("KHR_draco_mesh_compression", "EXT_meshopt_compression"),
+    *("KHR_meshopt_compression", "MESHOPT_compression"),
 }
 KNOWN = {
     *("KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp", "KHR_texture_basisu"),
     *("MSFT_texture_dds", "EXT_texture_avif", "KHR_lights_punctual", "KHR_xmp_json_ld"),
-}  # images of kinds that cannot be decoded are refused when a base colour shows them
+}  # an image that cannot be decoded is refused only if a base colour uses it
 
 
 def _fail(place: str, value: Any, wanted: str) -> BadFile:
     return BadFile(f"{place or 'the document'} is {repr(value)[:40]}, not {wanted}; export the file again")
 
 
+def _must(holds: Callable[[Any], bool], wanted: str) -> Rule:
+    """The rule that a condition holds for the value; `wanted` says it in words."""
+
+    def rule(value: Any, place: str, document: dict) -> None:
+        if not holds(value):
+            raise _fail(place, value, wanted)
+
+    return rule
+
+
+def _one_of(*allowed: Any) -> Rule:
+    wanted = f"one of {', '.join(map(str, allowed))}"
+    return _must(lambda value: type(value) in (int, str) and value in allowed, wanted)
+
+
+_object = _must(lambda value: isinstance(value, dict), "an object")
+_list = _must(lambda value: isinstance(value, list), "a list")
+_text = _must(lambda value: isinstance(value, str), "a text")
+_whole = _must(lambda value: type(value) is int and 0 <= value < 1 << 53, "a whole number")
+_number = _must(lambda value: type(value) in (int, float) and math.isfinite(value), "a number")
+
+
 def _record(**rules: Rule) -> Rule:
     def rule(value: Any, place: str, document: dict) -> None:
-        if not isinstance(value, dict):
-            raise _fail(place, value, "an object")
+        _object(value, place, document)
         for key, inner in rules.items():
             if key in value:
                 inner(value[key], f"{place}.{key}".lstrip("."), document)
@@ -62,8 +77,7 @@ def _record(**rules: Rule) -> Rule:
 
 def _values(inner: Rule) -> Rule:
     def rule(value: Any, place: str, document: dict) -> None:
-        if not isinstance(value, dict):
-            raise _fail(place, value, "an object")
+        _object(value, place, document)
         for key, child in value.items():
             inner(child, f"{place}.{key[:40]}", document)
 
@@ -72,8 +86,7 @@ def _values(inner: Rule) -> Rule:
 
 def _many(inner: Rule) -> Rule:
     def rule(value: Any, place: str, document: dict) -> None:
-        if not isinstance(value, list):
-            raise _fail(place, value, "a list")
+        _list(value, place, document)
         for index, child in enumerate(value):
             inner(child, f"{place}[{index}]", document)
 
@@ -90,35 +103,12 @@ def _index(key: str) -> Rule:
     return rule
 
 
-def _whole(value: Any, place: str, document: dict) -> None:
-    if type(value) is not int or not 0 <= value < 1 << 53:
-        raise _fail(place, value, "a whole number")
-
-
-def _number(value: Any, place: str, document: dict) -> None:
-    if type(value) not in (int, float) or not math.isfinite(value):
-        raise _fail(place, value, "a number")
-
-
-def _text(value: Any, place: str, document: dict) -> None:
-    if not isinstance(value, str):
-        raise _fail(place, value, "a text")
-
-
 def _vector(length: int) -> Rule:
     def rule(value: Any, place: str, document: dict) -> None:
         if not isinstance(value, list) or len(value) != length:
             raise _fail(place, value, f"{length} numbers")
         for child in value:
             _number(child, place, document)
-
-    return rule
-
-
-def _one_of(*allowed: Any) -> Rule:
-    def rule(value: Any, place: str, document: dict) -> None:
-        if type(value) not in (int, str) or value not in allowed:
-            raise _fail(place, value, f"one of {', '.join(map(str, allowed))}")
 
     return rule
 
@@ -133,9 +123,8 @@ _SLOT = _record(
 
 
 def _slots(value: Any, place: str, document: dict) -> None:
-    """Every texture reference of a material, also those in extensions that are not known here."""
-    if not isinstance(value, dict):
-        raise _fail(place, value, "an object")
+    """Every texture reference of a material, including those in extensions that are not known here."""
+    _object(value, place, document)
     for key, child in value.items():
         if key.endswith("Texture"):
             _SLOT(child, f"{place}.{key[:40]}", document)
@@ -143,16 +132,16 @@ def _slots(value: Any, place: str, document: dict) -> None:
             _slots(child, f"{place}.{key[:40]}", document)
 
 
+_MATERIAL = _record(
+    name=_text, pbrMetallicRoughness=_record(baseColorFactor=_vector(4)), extensions=_values(_object)
+)
+
+
 def _material(value: Any, place: str, document: dict) -> None:
     _slots(value, place, document)
-    _record(
-        name=_text,
-        pbrMetallicRoughness=_record(baseColorFactor=_vector(4)),
-        extensions=_values(_record()),
-    )(value, place, document)
+    _MATERIAL(value, place, document)
 
 
-_COMPONENT = _one_of(5120, 5121, 5122, 5123, 5125, 5126)
 _VIEW = _index("bufferViews")
 _SOURCE = _record(source=_index("images"))
 _GLTF = _record(
@@ -185,14 +174,14 @@ _GLTF = _record(
         )
     ),
     materials=_many(_material),
-    textures=_many(_record(source=_index("images"), extensions=_values(_record(source=_index("images"))))),
+    textures=_many(_record(source=_index("images"), extensions=_values(_SOURCE))),
     images=_many(_record(name=_text, uri=_text, mimeType=_text, bufferView=_VIEW)),
     accessors=_many(
         _record(
             bufferView=_VIEW,
             byteOffset=_whole,
             count=_whole,
-            componentType=_COMPONENT,
+            componentType=_one_of(5120, 5121, 5122, 5123, 5125, 5126),
             type=_one_of("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"),
             sparse=_record(
                 count=_whole,

@@ -1,4 +1,4 @@
-"""Laws of the files that a mesh names: looked for beside it, and nowhere else."""
+"""Laws of the files that a mesh names: they are searched for in its folder, and nowhere else."""
 
 import os
 from pathlib import Path
@@ -30,7 +30,7 @@ FOREIGN = (
 @pytest.mark.parametrize("name", FOREIGN)
 @pytest.mark.parametrize("format", ["obj", "ply", "gltf"])
 def test_an_image_named_by_another_machine_or_otherwise_in_capitals_is_found_and_told(tmp_path, name, format):
-    """The file of that name beside the mesh, and what comes out names it as it is called."""
+    """The file of that name next to the mesh is used, and the output names it correctly."""
     path = saved(tmp_path / "in", mtl=f"newmtl wood\nmap_Kd {name}\nmap_Bump {name}\n")
     Image.new("RGB", (8, 4), (10, 20, 30)).save(path.parent / "grain.png")
     if (path.parent / "GRAIN.png").exists() and "GRAIN" in name:

@@ -65,7 +65,7 @@ def test_several_variations_in_one_folder_share_the_maps(tmp_path):
         lambda: check_room(asset, paths[0]),
         lambda: write(asset, Painting({"base_color": new_images(asset)}), paths[0]),
     ):
-        with pytest.raises(ValueError, match=r"bump\.png is there, and is another image.*--out"):
+        with pytest.raises(ValueError, match=r"bump\.png exists and differs from the map.*--out"):
             refused()
 
 
@@ -162,10 +162,10 @@ def test_an_absolute_path_into_the_folder_becomes_relative_for_the_file_goes_alo
 def test_a_given_texture_is_advised_only_where_it_takes_the_place_of_the_one_image(tmp_path):
     mtl = "newmtl wood\nmap_Kd D:\\a b\\no.png\nnewmtl bone white\nmap_Kd {}\n"
     path = saved(tmp_path, mtl=mtl.format("textures/wood grain.png"))
-    with pytest.raises(ValueError, match=r"'D:\\a b\\no\.png' does not exist; put it beside the mesh$"):
+    with pytest.raises(ValueError, match=r"'D:\\a b\\no\.png' does not exist; put it next to the mesh$"):
         read_asset(path)
     (tmp_path / "my cube.mtl").write_text(mtl.format("D:\\a b\\no.png"))
-    with pytest.raises(ValueError, match=r"put it beside the mesh, or pass --texture$"):
+    with pytest.raises(ValueError, match=r"put it next to the mesh, or pass --texture$"):
         read_asset(path)
     assert read_asset(path, tmp_path / "textures" / "wood grain.png").mesh.textures
 
