@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int, Num
+from jaxtyping import Float, Float64, Int, Num
 
 Vectors = Float64[Any, "N 3"]
 Lengths = Float64[Any, "N"]
-CHUNK_ROWS = 1 << 12  # rows processed at a time
+CHUNK_ROWS = 1 << 12  # rows processed at a time, by default
 
 
-def chunks(count: int) -> Iterator[slice]:
-    """Slices that cover `count` rows, each so small that its intermediate arrays stay in the cache."""
-    return (slice(start, start + CHUNK_ROWS) for start in range(0, count, CHUNK_ROWS))
+def chunks(count: int, size: int = CHUNK_ROWS) -> Iterator[slice]:
+    """Slices of `size` that cover `count` rows, so that intermediate arrays stay in the cache."""
+    return (slice(start, start + size) for start in range(0, count, size))
 
 
 def cross(u: Vectors, v: Vectors) -> Vectors:
@@ -25,7 +25,7 @@ def cross(u: Vectors, v: Vectors) -> Vectors:
     return np.stack([y * r - z * q, z * p - x * r, x * q - y * p], 1)
 
 
-def dot(u: Vectors, v: Vectors) -> Lengths:
+def dot(u: Float[Any, "N D"], v: Float[Any, "N D"]) -> Float[Any, "N"]:
     return np.einsum("ij,ij->i", u, v)
 
 
