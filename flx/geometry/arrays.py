@@ -55,6 +55,12 @@ def face_areas(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64
     return np.linalg.norm(area_normals(vertices, faces), axis=1) / 2
 
 
+def squared_sides(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "3 F"]:
+    """The squared lengths of the sides ab, bc and ca of each face."""
+    a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
+    return np.stack([dot(u, u) for u in (b - a, c - b, a - c)])
+
+
 def sum_at(groups: Int[Any, "N K"], values: Float64[Any, "N C"], count: int) -> Float64[Any, "V C"]:
     """Scatter-add: at each of `count` vertices, the sum of the values of all groups that contain it."""
     at, width = groups.ravel(), groups.shape[1]
