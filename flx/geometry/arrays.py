@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float64, Int, Num
+from jaxtyping import Bool, Float, Float64, Int, Num
 
 Vectors = Float64[Any, "N 3"]
 Lengths = Float64[Any, "N"]
@@ -59,6 +59,13 @@ def squared_sides(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Floa
     """The squared lengths of the sides ab, bc and ca of each face."""
     a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
     return np.stack([dot(u, u) for u in (b - a, c - b, a - c)])
+
+
+def mark(count: int, members: Int[Any, "..."]) -> Bool[Any, "V"]:
+    """A mask of length `count` that is true at the indices `members`."""
+    marked = np.zeros(count, bool)
+    marked[members] = True
+    return marked
 
 
 def sum_at(groups: Int[Any, "N K"], values: Float64[Any, "N C"], count: int) -> Float64[Any, "V C"]:

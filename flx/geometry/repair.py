@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy.spatial import KDTree
 
-from flx.geometry.arrays import distinct_rows, face_areas, squared_sides
+from flx.geometry.arrays import distinct_rows, face_areas, mark, squared_sides
 from flx.geometry.topology import (
     Edges,
     boundary_loops,
@@ -21,7 +21,6 @@ from flx.geometry.topology import (
     count_fans,
     edges_of,
     label_components,
-    mark,
 )
 
 # Distance below which vertices are welded, as a share of the diagonal: above the round-off of a float64

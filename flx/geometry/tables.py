@@ -14,8 +14,8 @@ from jaxtyping import Complex128, Float64, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from flx.geometry.arrays import mark
 from flx.geometry.tangent import TangentFrames, tangent_frames, transports
-from flx.geometry.topology import mark
 from flx.types import MeshTables, OneRings, Pooling, Triangulation
 
 

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int
 
-from flx.geometry.arrays import face_areas
-from flx.geometry.topology import mark
+from flx.geometry.arrays import face_areas, mark
 from flx.types import Triangulation
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from flx.geometry.arrays import chunks, length_of, sort_keys
+from flx.geometry.arrays import chunks, length_of, mark, sort_keys
 
 
 class Edges(NamedTuple):
@@ -148,13 +148,6 @@ def has_edge(topo: Topology, a: Int[Any, "N"], b: Int[Any, "N"]) -> Bool[Any, "N
     """Whether there is an edge between a and b, pair by pair."""
     key = np.minimum(a, b) * topo.count + np.maximum(a, b)
     return topo.keys[find_edges(topo, a, b)] == key
-
-
-def mark(count: int, members: Int[Any, "..."]) -> Bool[Any, "V"]:
-    """A mask of length `count` that is true at the indices `members`."""
-    marked = np.zeros(count, bool)
-    marked[members] = True
-    return marked
 
 
 def any_of(marked: Bool[Any, "V"], groups: Int[Any, "N K"]) -> Bool[Any, "N"]:

@@ -7,7 +7,8 @@ from helpers.surfaces import random_sphere
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flx.geometry.topology import all_of, any_of, find_edges, has_edge, mark, topology
+from flx.geometry.arrays import mark
+from flx.geometry.topology import all_of, any_of, find_edges, has_edge, topology
 
 seeds = st.integers(0, 10**6)
 

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from flx.geometry.arrays import mark
 from flx.geometry.remesh.features import features
 from flx.geometry.remesh.operators import flip_edges
 from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
 from flx.geometry.remesh.stars import Stars, independent, sharpest_cosines
 from flx.geometry.remesh.tighten import FAIR_COSINE, FEW_SHARP, gap_to_close, pin_missed_points, tighten
-from flx.geometry.topology import mark, topology
+from flx.geometry.topology import topology
 from flx.types import Triangulation
 
 SHARP_COSINE = np.cos(np.radians(38.0))  # vertices of faces with a smaller angle are moved

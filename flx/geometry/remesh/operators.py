@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, cross, dot, length_of, unit_vectors
+from flx.geometry.arrays import area_normals, cross, dot, length_of, mark, unit_vectors
 from flx.geometry.remesh.features import features
-from flx.geometry.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, mark, topology
+from flx.geometry.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, topology
 from flx.types import Triangulation
 
 CAP = np.radians(160.0)  # a face with a larger angle has no reliable normal

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, squared_sides, sum_at, unit_vectors
-from flx.geometry.topology import Topology, mark
+from flx.geometry.arrays import area_normals, dot, mark, squared_sides, sum_at, unit_vectors
+from flx.geometry.topology import Topology
 
 
 class Stars:

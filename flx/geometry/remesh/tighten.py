@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors
+from flx.geometry.arrays import area_normals, dot, length_of, mark, sum_at, unit_vectors
 from flx.geometry.remesh.deviation import EASY, distances_to_mesh, measure_faces, measure_mesh
 from flx.geometry.remesh.operators import disjoint, edge_quads, flipped, ranks
 from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import Stars, independent, largest, longest_sides, sharpest_cosines
-from flx.geometry.topology import all_of, any_of, has_edge, mark, topology
+from flx.geometry.topology import all_of, any_of, has_edge, topology
 from flx.types import Triangulation
 
 LAPS, TRIES = 30, 8  # laps over the bad places of a mesh, and attempts at each place in a lap

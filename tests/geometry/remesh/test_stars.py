@@ -5,9 +5,10 @@ from helpers.surfaces import random_sphere
 from hypothesis import given
 from hypothesis import strategies as st
 
+from flx.geometry.arrays import mark
 from flx.geometry.remesh.operators import disjoint
 from flx.geometry.remesh.stars import independent
-from flx.geometry.topology import all_of, mark, topology
+from flx.geometry.topology import all_of, topology
 
 seeds = st.integers(0, 10**6)
 
