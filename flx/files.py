@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Files that are written completely or not at all."""
 
 import os
 from collections.abc import Callable
@@ -7,9 +7,9 @@ from typing import Any
 
 
 def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None:
-    """Write a file that is there whole or not at all, even through a kill or a power cut.
+    """Write a file completely or not at all, even if the process is killed or the power fails.
 
-    `content` is the bytes, or a function that writes the file at the path it is given (of the same suffix).
+    `content` is the bytes, or a function that writes to the path it receives, which has the same suffix.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     torn = path.with_name(f".{os.getpid()}.{path.name}")

@@ -1,4 +1,4 @@
-"""The data that crosses from NumPy geometry to JAX networks, and the conventions, stated once.
+"""The data that passes from NumPy geometry to JAX networks, and its conventions.
 
 Letters in shapes: V vertices, F faces, K ring slots, S samples, C channels, D latent channels,
 W coarse vertices, M children slots, P points on the surface. A batch of mesh copies is a leading axis.
@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from jaxtyping import Complex64, Float32, Float64, Int, Int32, UInt
 
-Slot = Literal["base_color", "normal", "metallic_roughness", "occlusion", "emissive"]  # as glTF means them
+Slot = Literal["base_color", "normal", "metallic_roughness", "occlusion", "emissive"]  # as in glTF
 SLOTS: tuple[Slot, ...] = get_args(Slot)
 
 
@@ -37,15 +37,15 @@ class Layer(NamedTuple):
 
 
 class TexturedMesh(NamedTuple):
-    """A repaired triangle mesh and the colour of every point on it, and its other maps where they were read.
+    """A repaired triangle mesh, the colour of every point on it, and any other maps that were read.
 
-    There always is a layer of base colours. Where it has no images, colour comes from `corner_colors`.
+    There always is a layer of base colours. If it has no images, colour comes from `corner_colors`.
     """
 
     vertices: Float64[Any, "V 3"]  # in the file's units
     faces: Int[Any, "F 3"]  # counter-clockwise seen from outside
     maps: Mapping[Slot, Layer]
-    corner_colors: Float32[Any, "F 3 3"]  # zeros where the mesh has base colour images
+    corner_colors: Float32[Any, "F 3 3"]  # zeros if the mesh has base colour images
 
     @property
     def textures(self) -> tuple[UInt[Any, "_ _ 3"], ...]:
@@ -100,7 +100,7 @@ class Pooling(NamedTuple):
 
 
 class MeshTables(NamedTuple):
-    """Everything the denoiser knows of a mesh copy: two levels and the step between them."""
+    """Everything the denoiser knows about a mesh copy: two levels and the pooling between them."""
 
     fine: OneRings
     pooling: Pooling
@@ -122,7 +122,7 @@ class SurfacePoints(NamedTuple):
 
 
 class Queries(NamedTuple):
-    """What the decoder is asked: each point seen from the three corners of its face."""
+    """The input of the decoder: each point seen from the three corners of its face."""
 
     vertices: Int32[Any, "P 3"]
     logs: Complex64[Any, "P 3"]

@@ -70,10 +70,7 @@ def complex_linear_pairs(
 ) -> Float[Array, "*V D2"]:
     """`complex_linear` on `real_pairs`: (x_re, x_im) [[W_re, W_im], [−W_im, W_re]]."""
     real, imaginary = weight
-    stacked = jnp.concatenate(
-        [jnp.concatenate([real, imaginary], 1), jnp.concatenate([-imaginary, real], 1)], 0
-    )
-    return dense(x, stacked, precision)
+    return dense(x, jnp.block([[real, imaginary], [-imaginary, real]]), precision)
 
 
 def vn_nonlinearity(

@@ -153,16 +153,17 @@ def _ring_sums(
     """
 
     def one(_: None, channel: tuple[Array, Array]) -> tuple[None, Array]:
-        return None, _gathered_sum(rings, *channel)
+        return None, _gathered_sum(rings.neighbors, *channel)
 
     return jax.lax.scan(one, None, (kappa, _powers(x, len(kappa))))[1]
 
 
 def _gathered_sum(
-    rings: OneRings, kappa: Complex[Array, "V K"], y: Complex[Array, "V C"]
+    index: Int[Array, "V K"], kappa: Complex[Array, "V K"], y: Complex[Array, "Q C"]
 ) -> Complex[Array, "V C"]:
+    """Σ_k κ(p, k) y(index(p, k)), unrolled over k."""
     slots = range(kappa.shape[1])
-    return sum(kappa[:, k, None] * gather(y, rings.neighbors[:, k]) for k in slots)  # type: ignore
+    return sum(kappa[:, k, None] * gather(y, index[:, k]) for k in slots)  # type: ignore
 
 
 def _ring_sums_forward(rings: OneRings, kappa: Array, x: Array) -> tuple[Array, tuple]:
@@ -175,7 +176,7 @@ def _ring_sums_backward(saved: tuple, cotangent: Array) -> tuple:
 
     def one(_: None, channel: tuple[Array, Array, Array]) -> tuple[None, tuple[Array, Array]]:
         kappa, power, bar = channel
-        power_bar = _gathered_sum(rings, gather_reverse(rings, kappa), bar)
+        power_bar = _gathered_sum(rings.neighbors, gather_reverse(rings, kappa), bar)
         slots = range(kappa.shape[1])
         dots = [_row_dots(bar, gather(power, rings.neighbors[:, k])) for k in slots]
         return None, (jnp.stack(dots, 1), power_bar)
@@ -275,9 +276,7 @@ _messages.defvjp(_messages_forward, _messages_backward)
 @jax.custom_vjp
 def pool(pooling: Pooling, x: Complex[Array, "V C"]) -> Complex[Array, "W C"]:
     """The mass-weighted mean over each cluster of vectors transported to its centre."""
-    carry = pooling.child_weights * pooling.child_transports
-    slots = range(carry.shape[1])
-    return sum(carry[:, m, None] * gather(x, pooling.children[:, m]) for m in slots)  # type: ignore
+    return _gathered_sum(pooling.children, pooling.child_weights * pooling.child_transports, x)
 
 
 def _pool_backward(pooling: Pooling, cotangent: Array) -> tuple:
@@ -299,8 +298,7 @@ def unpool(pooling: Pooling, x: Complex[Array, "W C"]) -> Complex[Array, "V C"]:
 
 def _unpool_backward(pooling: Pooling, cotangent: Array) -> tuple:
     carry = jnp.where(pooling.child_weights > 0, jnp.conj(pooling.child_transports), 0.0)
-    slots = range(carry.shape[1])
-    return None, sum(carry[:, m, None] * gather(cotangent, pooling.children[:, m]) for m in slots)
+    return None, _gathered_sum(pooling.children, carry, cotangent)
 
 
 unpool.defvjp(lambda pooling, x: (unpool(pooling, x), pooling), _unpool_backward)

@@ -1,8 +1,8 @@
 """Denoising diffusion of tangent vector fields (paper, section 4): schedule, noise, scaling.
 
-α_t is the cumulated share of the signal, α_0 = 1 ≥ … ≥ α_T > 0: Z_t = √α_t Z + √(1−α_t) ε. A real
-coordinate of ε has variance 1, so everything below is the usual DDPM on each (re, im) pair.
-The schedule is NumPy float64, computed once; what is indexed inside a scan is float32.
+α_t is the cumulative share of the signal, α_0 = 1 ≥ … ≥ α_T > 0: Z_t = √α_t Z + √(1−α_t) ε. Each real
+coordinate of ε has variance 1, so everything below is the usual DDPM on (re, im) pairs. The schedule is
+computed once, in NumPy float64; values indexed inside a scan are float32.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ Denoise = Callable[[Complex[Array, "V D"], Float[Array, ""]], Complex[Array, "V 
 def linear_schedule(steps: int, beta_start: float, beta_end: float) -> Float64[np.ndarray, "T"]:
     """α_0 … α_T, T + 1 numbers, where 1 − α_t/α_{t−1} grows linearly.
 
-    The paper's α_T = 0 would make C₁ infinite: its 1,000 steps from 1e-4 to 0.02 end at 4e-5.
+    The paper states α_T = 0, which would make C₁ infinite; its 1,000 steps from 1e-4 to 0.02 end at 4e-5.
     """
     return np.concatenate([[1.0], np.cumprod(1 - np.linspace(beta_start, beta_end, steps))])
 
@@ -32,14 +32,14 @@ def diffuse(
 
 
 class Scaling(NamedTuple):
-    """Between latents and what is diffused: as large as the noise, of zero mean where they may be.
+    """The affine map from latents to values as large as the noise, with zero mean in invariant channels.
 
-    Vectors have one scale for both coordinates and no mean that all frames agree on; the two numbers of an
-    invariant channel have each their own.
+    A vector channel has one scale for both coordinates, and no shift, because no mean is the same in all
+    frames. In an invariant channel, both numbers have a scale and a shift of their own.
     """
 
     shift: Complex64[np.ndarray, "D"]
-    scale: Complex64[np.ndarray, "D"]  # of the real and of the imaginary part
+    scale: Complex64[np.ndarray, "D"]  # the scale of the real part, then that of the imaginary part
 
     def to_diffusion(self, latents: Complex64[np.ndarray, "V D"]) -> Complex64[np.ndarray, "V D"]:
         """Scaled latents."""
@@ -54,7 +54,7 @@ class Scaling(NamedTuple):
 def latent_scaling(latents: Complex64[np.ndarray, "N D"], invariants: int) -> Scaling:
     """√(π/2) / E|Z_i| for vectors (paper, "Scaling input latents"); mean 0, variance 1 for invariants.
 
-    `latents` of all vertices of all copies; their last `invariants` channels are invariant.
+    `latents` are those of all vertices of all copies; the last `invariants` channels are invariant.
     """
     vectors, rest = np.split(latents, [latents.shape[1] - invariants], axis=1)
     of_vectors = np.sqrt(np.pi / 2) / np.maximum(np.abs(vectors).mean(0), 1e-6)

@@ -1,12 +1,12 @@
-"""Samplers: from noise back to data by a denoising function. Each reads like the algorithm in its paper.
+"""Samplers: from noise to data with a denoising function. Each reads like the algorithm in its paper.
 
-A sampler is a table with a row for each step from t to s < t, and a step that uses one row:
+A sampler is a table with a row for each step from t to s < t, and a function that uses one row:
 
     step(row, denoise, z, memory, noise) → z at s, memory
 
-Coefficients are computed in NumPy float64, outside of the scan, where α_t near 1 would cancel in float32.
-`memory` is what a multistep solver keeps of the steps before. `reverse` scans the table. After each step it
-calls a hook, which may change z: inpainting and guidance need that.
+Coefficients are computed in NumPy float64 outside of the scan, because 1 − α_t near α_t = 1 would lose its
+digits in float32. `memory` is the state of a multistep solver. `reverse` scans the table; after each step it
+calls a hook that may change z, for inpainting and guidance.
 """
 
 from collections.abc import Callable
@@ -25,18 +25,18 @@ Hook = Callable[[Complex[Array, "V D"], Float[Array, ""], Array], Complex[Array,
 
 
 class Sampler(NamedTuple):
-    """A row for each step, the first step first; all rows have `t` and `s`."""
+    """A row for each step, in order; all rows have `t` and `s`."""
 
     table: dict[str, Float64[np.ndarray, "N"]]
     step: Callable[..., tuple[Array, Any]]
-    memory: Callable[[Array], Any]  # before the first step, made from Z_T
+    memory: Callable[[Array], Any]  # the memory before the first step, from Z_T
 
 
 def ancestral(alphas: Float64[np.ndarray, "T"]) -> Sampler:
     """DDPM (Ho et al. 2020, algorithm 2; paper, supplement): the exact posterior, from t = T to 1.
 
     With a = α_t/α_{t−1}: C₁ = 1/√a, C₂ = −(1−a)/√(a(1−α_t)), C₃ = √((1−α_{t−1})(1−a)/(1−α_t)). The paper
-    prints C₂ as a product of two roots; it is their difference, which this is without cancellation.
+    prints C₂ as a product of two roots; it is their difference, here in a form without cancellation.
     C₃ is 0 at t = 1.
     """
     t = np.arange(len(alphas) - 1, 0, -1)
@@ -44,7 +44,6 @@ def ancestral(alphas: Float64[np.ndarray, "T"]) -> Sampler:
     a = now / before
     c1, c2 = 1 / np.sqrt(a), -(1 - a) / np.sqrt(a * (1 - now))
     c3 = np.sqrt((1 - before) * (1 - a) / (1 - now))
-
     return Sampler({"t": t, "s": t - 1, "c1": c1, "c2": c2, "c3": c3}, _ancestral_step, nothing)
 
 
@@ -55,13 +54,11 @@ def _ancestral_step(row: Any, denoise: Denoise, z: Array, memory: Any, noise: Ar
 def ddim(alphas: Float64[np.ndarray, "T"], count: int) -> Sampler:
     """Deterministic steps (Song et al. 2021, η = 0), evenly spaced in t, the last one to t = 0.
 
-    Ẑ = (Z_t − √(1−α_t) ε̂)/√α_t, then Z_s = √α_s Ẑ + √(1−α_s) ε̂.
-    Raises ValueError where the schedule has fewer than `count` steps.
+    Ẑ = (Z_t − √(1−α_t) ε̂)/√α_t, then Z_s = √α_s Ẑ + √(1−α_s) ε̂. Raises ValueError as `spaced` does.
     """
     t, s = spaced(alphas, count)
-    c1 = np.sqrt(alphas[s] / alphas[t])  # of Z_t
-    c2 = np.sqrt(1 - alphas[s]) - c1 * np.sqrt(1 - alphas[t])  # of ε̂
-
+    c1 = np.sqrt(alphas[s] / alphas[t])  # the coefficient of Z_t
+    c2 = np.sqrt(1 - alphas[s]) - c1 * np.sqrt(1 - alphas[t])  # the coefficient of ε̂
     return Sampler({"t": t, "s": s, "c1": c1, "c2": c2}, _ddim_step, nothing)
 
 
@@ -70,12 +67,11 @@ def _ddim_step(row: Any, denoise: Denoise, z: Array, memory: Any, noise: Array) 
 
 
 def dpm_solver(alphas: Float64[np.ndarray, "T"], count: int) -> Sampler:
-    """DPM-Solver++(2M) (Lu et al. 2022, algorithm 2): second order, by the Ẑ of the step before.
+    """DPM-Solver++(2M) (Lu et al. 2022, algorithm 2): second order, with the Ẑ of the step before.
 
     With λ = ln √(α/(1−α)), h = λ_s − λ_t and r = h_before/h:
     D = (1 + 1/2r) Ẑ_t − 1/2r Ẑ_before, then Z_s = √((1−α_s)/(1−α_t)) Z_t − √α_s (e^{−h} − 1) D.
-    The first step, and the last one, whose h is infinite, are of first order.
-    Raises ValueError where the schedule has fewer than `count` steps.
+    The first step, and the last one, whose h is infinite, are of first order. Raises ValueError as `spaced`.
     """
     t, s = spaced(alphas, count)
     with np.errstate(divide="ignore"):
@@ -85,10 +81,9 @@ def dpm_solver(alphas: Float64[np.ndarray, "T"], count: int) -> Sampler:
     ratio[1:] = h[1:] / h[:-1] / 2  # 1/2r
     ratio[-1] = 0
     decay, gain = np.sqrt((1 - alphas[s]) / (1 - alphas[t])), -np.sqrt(alphas[s]) * np.expm1(-h)
-    signal, deviation = np.sqrt(alphas[t]), np.sqrt(1 - alphas[t])
-
     rows = {"t": t, "s": s, "ratio": ratio, "decay": decay, "gain": gain}
-    return Sampler({**rows, "signal": signal, "deviation": deviation}, _dpm_step, jnp.zeros_like)
+    rows |= {"signal": np.sqrt(alphas[t]), "deviation": np.sqrt(1 - alphas[t])}
+    return Sampler(rows, _dpm_step, jnp.zeros_like)
 
 
 def _dpm_step(row: Any, denoise: Denoise, z: Array, before: Array, noise: Array) -> tuple[Array, Array]:
@@ -98,19 +93,19 @@ def _dpm_step(row: Any, denoise: Denoise, z: Array, before: Array, noise: Array)
 
 
 def spaced(alphas: Float64[np.ndarray, "T"], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """`count` steps from T to 0 as (t, s), as even as whole numbers are.
+    """`count` steps from T to 0 as (t, s), as even as integers allow.
 
-    Raises ValueError where the schedule has fewer steps.
+    Raises ValueError if the schedule has fewer steps.
     """
     total = len(alphas) - 1
     if not 1 <= count <= total:
-        raise ValueError(f"a sampler of {count} steps; the schedule has {total}: ask for 1 to {total}")
+        raise ValueError(f"the sampler has {count} steps but the schedule {total}; ask for 1 to {total}")
     times = np.rint(np.linspace(total, 0, count + 1)).astype(int)
     return times[:-1], times[1:]
 
 
 def nothing(z: Array) -> tuple[()]:
-    """The memory of a sampler that needs none."""
+    """The memory of a sampler without memory."""
     return ()
 
 
@@ -119,17 +114,17 @@ def reverse(
 ) -> Complex[Array, "*V D"]:
     """Run a sampler as one scan from Z_T = `z` (tangent noise) to Z_0.
 
-    Step n draws its noise with fold_in(key, n). `hook(z, s, key)` gets what the step has reached at time s
-    and a key of its own; what it returns goes on.
+    Step n draws its noise with fold_in(key, n). `hook(z, s, key)` receives the z that the step reached at
+    time s and a key of its own; the next step starts from the z that it returns.
     """
 
     def step(carry: tuple[Array, Any], row: dict[str, Array]) -> tuple[tuple[Array, Any], None]:
         z, memory = carry
-        of_step = jax.random.fold_in(key, row["n"])
-        noise = tangent_noise(of_step, z.shape).astype(z.dtype)
+        step_key = jax.random.fold_in(key, row["n"])
+        noise = tangent_noise(step_key, z.shape).astype(z.dtype)
         z, memory = sampler.step(row, denoise, z, memory, noise)
         if hook is not None:
-            z = hook(z, row["s"], jax.random.fold_in(of_step, 1))
+            z = hook(z, row["s"], jax.random.fold_in(step_key, 1))
         return (z, memory), None
 
     real = jnp.real(z).dtype

@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int, Num
+from jaxtyping import Bool, Float, Float64, Int, Num
 
 Vectors = Float64[Any, "N 3"]
 Lengths = Float64[Any, "N"]
-CHUNK_ROWS = 1 << 12  # rows processed at a time
+CHUNK_ROWS = 1 << 12  # rows processed at a time, by default
 
 
-def chunks(count: int) -> Iterator[slice]:
-    """Slices that cover `count` rows, each so small that its intermediate arrays stay in the cache."""
-    return (slice(start, start + CHUNK_ROWS) for start in range(0, count, CHUNK_ROWS))
+def chunks(count: int, size: int = CHUNK_ROWS) -> Iterator[slice]:
+    """Slices of `size` that cover `count` rows, so that intermediate arrays stay in the cache."""
+    return (slice(start, start + size) for start in range(0, count, size))
 
 
 def cross(u: Vectors, v: Vectors) -> Vectors:
@@ -25,7 +25,7 @@ def cross(u: Vectors, v: Vectors) -> Vectors:
     return np.stack([y * r - z * q, z * p - x * r, x * q - y * p], 1)
 
 
-def dot(u: Vectors, v: Vectors) -> Lengths:
+def dot(u: Float[Any, "N D"], v: Float[Any, "N D"]) -> Float[Any, "N"]:
     return np.einsum("ij,ij->i", u, v)
 
 
@@ -53,6 +53,19 @@ def face_areas(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64
     NumPy's norm rounds otherwise than `length_of` does: masses and tables are defined with this one.
     """
     return np.linalg.norm(area_normals(vertices, faces), axis=1) / 2
+
+
+def squared_sides(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "3 F"]:
+    """The squared lengths of the sides ab, bc and ca of each face."""
+    a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
+    return np.stack([dot(u, u) for u in (b - a, c - b, a - c)])
+
+
+def mark(count: int, members: Int[Any, "..."]) -> Bool[Any, "V"]:
+    """A mask of length `count` that is true at the indices `members`."""
+    marked = np.zeros(count, bool)
+    marked[members] = True
+    return marked
 
 
 def sum_at(groups: Int[Any, "N K"], values: Float64[Any, "N C"], count: int) -> Float64[Any, "V C"]:

@@ -1,9 +1,8 @@
 """Which point of a surface each texel shows, and images painted at those texels.
 
-Texture coordinates run right and down and repeat; texel (row, column) has its centre at
+Texture coordinates run right and down, and textures repeat. Texel (row, column) has its centre at
 u = (column + ½)/W, v = (row + ½)/H, so u·W − ½ is a column. Colours are float32 in [0, 1], images have 8 or
-16 bits. A point on a surface is a face and three barycentrics (`SurfacePoints`); a zero-area face has no
-texels. Large work goes in chunks: memory is bounded by the result, not by the mesh.
+16 bits. Work is done in chunks, so memory is bounded by the result, not by the mesh.
 """
 
 from collections.abc import Iterator
@@ -14,27 +13,28 @@ from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt
 from numpy.typing import DTypeLike
 from scipy.ndimage import distance_transform_edt
 
+from flx.geometry.arrays import chunks, dot
 from flx.geometry.color import quantized
 from flx.geometry.raster import CHUNK, Pixels, Planes, barycentric_planes, expand, pixels_inside
 from flx.types import Slot, SurfacePoints, TexturedMesh
 
-MOST_REPEATS = 16  # of a texture over one face: beyond, texels by the billion would show the same
-WRAP = 8  # texels by which a gutter looks across the border of a repeating texture
+MOST_REPEATS = 16  # repeats of a texture on one face; billions would take too long and show no more
+WRAP = 8  # texels beyond the border of a repeating texture in which a gutter looks for colours
 
 
 # --- texels and points
 
 
 class Atlas(NamedTuple):
-    """Which face each texel of one texture shows; where on the face follows from the coordinates.
+    """Which face each texel of one texture shows; the point on the face follows from the coordinates.
 
-    Four bytes a texel. Texels are numbered row by row; `texels`, `rows`, `columns` and `points` list those
-    that show the surface, in that order.
+    It takes four bytes per texel. Texels are numbered row by row; `texels`, `rows`, `columns` and `points`
+    list those that show the surface, in that order.
     """
 
-    faces: Int32[Any, "H W"]  # of the mesh; −1: no surface
-    corners: Float64[Any, "F 3 2"]  # of the mesh's UV triangles, in texels; integers are centres
-    planes: Planes  # their barycentrics
+    faces: Int32[Any, "H W"]  # the face that each texel shows, −1 for none
+    corners: Float64[Any, "F 3 2"]  # corners of all UV triangles, in texels; integers are centres
+    planes: Planes  # barycentrics of all UV triangles
 
     @property
     def height(self) -> int:
@@ -62,17 +62,17 @@ class Atlas(NamedTuple):
 
     @property
     def points(self) -> SurfacePoints:
-        """The point that each texel shows: 32 bytes a texel, so for large atlases rather `points_at`."""
+        """The point that each texel shows. It takes 32 bytes per texel: for large atlases use `points_at`."""
         texels = self.texels
-        chunks = [self.points_at(texels[start : start + CHUNK]) for start in range(0, len(texels), CHUNK)]
-        if not chunks:
-            return SurfacePoints(np.zeros(0, np.int64), np.zeros((0, 3)))
-        return SurfacePoints(*map(np.concatenate, zip(*chunks, strict=True)))
+        points = SurfacePoints(np.empty(len(texels), np.int64), np.empty((len(texels), 3)))
+        for part in chunks(len(texels), CHUNK):
+            points.faces[part], points.barycentrics[part] = self.points_at(texels[part])
+        return points
 
     def points_at(self, texels: Int[Any, "N"]) -> SurfacePoints:
-        """The point of its face that each texel's centre shows, or is nearest to where the face is too small.
+        """The point of its face at each texel's centre, or the nearest one if the centre is outside.
 
-        Of the repeats of a texel inside one face: the one deepest inside.
+        If a texel repeats inside one face, the repeat farthest inside counts.
         """
         faces = self.faces.ravel()[texels].astype(np.int64)
         y, x = np.divmod(texels, self.width)
@@ -90,7 +90,7 @@ class Atlas(NamedTuple):
         return SurfacePoints(faces, np.ascontiguousarray(barycentrics.T))
 
     def _repeats(self, faces: Int[Any, "N"], x: Int[Any, "N"], y: Int[Any, "N"]) -> list[tuple[Any, Any]]:
-        """By how many widths and heights a texel is moved to the middle of its face, and from there on to the
+        """By how many widths and heights to move a texel to the middle of its face, and from there to the
         other places where the face may repeat it."""
         if self.corners.min(initial=0) > -1 and (self.corners.max((0, 1)) < [self.width, self.height]).all():
             return [(0, 0)]
@@ -102,12 +102,11 @@ class Atlas(NamedTuple):
 
 
 def _nearest_on_edges(corners: Float64[Any, "N 3 2"], places: Float64[Any, "N 2"]) -> Float64[Any, "N 3"]:
-    """The barycentrics of the point nearest to each place on the outline of its triangle."""
+    """The barycentrics of the point on the outline of each triangle that is nearest to its place."""
     nearest, barycentrics = np.full(len(places), np.inf), np.zeros((len(places), 3))
     for k, after in ((0, 1), (1, 2), (2, 0)):
         edges, offsets = corners[:, after] - corners[:, k], places - corners[:, k]
-        lengths = np.maximum(np.einsum("nx,nx->n", edges, edges), np.finfo(float).tiny)
-        along = np.clip(np.einsum("nx,nx->n", offsets, edges) / lengths, 0, 1)
+        along = np.clip(dot(offsets, edges) / np.maximum(dot(edges, edges), np.finfo(float).tiny), 0, 1)
         squares = np.square(offsets - along[:, None] * edges).sum(1)
         nearer = squares < nearest
         nearest[nearer] = squares[nearer]
@@ -119,21 +118,21 @@ def _nearest_on_edges(corners: Float64[Any, "N 3 2"], places: Float64[Any, "N 2"
 def atlas_texels(
     mesh: TexturedMesh, texture_index: int, height: int, width: int, slot: Slot = "base_color"
 ) -> Atlas:
-    """Texels whose centres lie in the UV triangles of one texture; any size, whatever the texture's own.
+    """Texels whose centres lie in the UV triangles of one texture, at any resolution.
 
     UVs outside [0, 1] wrap. A texel that several faces claim (a shared edge, a repeated tile) goes to the
-    first of them. A face too small to hold any centre takes the texels that it touches, where they are free.
-    Raises ValueError for a face that runs over more than `MOST_REPEATS` repeats.
+    first of them. A face too small to contain a centre takes the free texels that it touches.
+    Raises ValueError for a face that spans more than `MOST_REPEATS` repeats.
     """
     layer = mesh.maps[slot]
     corners = layer.corner_uvs * [width, height] - 0.5
-    chosen = np.flatnonzero(layer.face_images == texture_index)[::-1]  # the last write stays: the first face
+    chosen = np.flatnonzero(layer.face_images == texture_index)[::-1]  # the last write wins: the first face
     repeats = np.ptp(layer.corner_uvs[chosen], axis=1)
     if repeats.max(initial=0) > MOST_REPEATS:
         face = chosen[repeats.max(1).argmax()]
         raise ValueError(
-            f"face {face} runs over {repeats.max():.0f} repeats of texture {texture_index}, at most "
-            f"{MOST_REPEATS} can be painted; unwrap it anew"
+            f"face {face} spans {repeats.max():.0f} repeats of texture {texture_index}, but at most "
+            f"{MOST_REPEATS} can be painted; unwrap the mesh again"
         )
     faces, met = np.full(height * width, -1, np.int32), np.zeros(len(chosen), bool)
     for pixels in pixels_inside(corners[chosen]):
@@ -148,7 +147,7 @@ def atlas_texels(
 
 
 def _outlines(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
-    """The pixels that the edges of triangles pass through, to half a pixel; a chunk of edges at a time."""
+    """The pixels that the edges of triangles pass through, within half a pixel, in chunks of edges."""
     corners = corners + 1e-6 * (corners.mean(1, keepdims=True) - corners)  # off the borders of pixels
     edges = np.roll(corners, -1, axis=1) - corners
     steps = 1 + np.ceil(2 * np.linalg.norm(edges, axis=2)).astype(np.int64).ravel()
@@ -165,11 +164,11 @@ def _outlines(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
 def fill_gutter(
     image: UInt[Any, "H W 3"], covered: Bool[Any, "H W"], reach: float = np.inf
 ) -> UInt[Any, "H W 3"]:
-    """Every uncovered texel takes its nearest covered texel's colour, also across the repeating border.
+    """Give uncovered texels the colour of the nearest covered texel, also across the repeating border.
 
-    Farther than `reach` texels from a covered one it stays: other meshes may share the image. A bilinear
-    look-up at the rim of a chart reads half a texel beyond it, one in a smaller copy of the image (a mip
-    level) as far as its texels are large. An image without a covered texel comes back as it is.
+    Texels farther than `reach` from a covered one keep their colour: other meshes may share the image. A
+    bilinear look-up at the rim of a chart reads half a texel beyond it; in a mip level, half of one of its
+    larger texels. An image without covered texels is returned unchanged.
     """
     filled = image.copy()
     if covered.all() or not covered.any():
@@ -189,7 +188,7 @@ def fill_gutter(
 
 
 def with_filled_gutters(mesh: TexturedMesh) -> TexturedMesh:
-    """The mesh with what lies between the charts of its images, in any slot, taken from the nearest chart."""
+    """The mesh with the space between the charts of all its images filled from the nearest chart."""
     for slot, layer in mesh.maps.items():
         images = (
             fill_gutter(image, atlas_texels(mesh, index, *image.shape[:2], slot=slot).covered)
@@ -199,32 +198,17 @@ def with_filled_gutters(mesh: TexturedMesh) -> TexturedMesh:
     return mesh
 
 
-def paint(
-    atlas: Atlas,
-    colors: Float32[Any, "P 3"],
-    background: UInt[Any, "H W 3"] | None = None,
-    dtype: DTypeLike = np.uint8,
-) -> UInt[Any, "H W 3"]:
-    """An image with these colours at the atlas' texels and filled gutters; colours are clipped to [0, 1].
-
-    `background` (default black), of the atlas' size, is what an image that no face uses keeps. The new image
-    has its depth, or without one that of `dtype`.
-    """
-    image = np.zeros((atlas.height, atlas.width, 3), dtype) if background is None else background.copy()
-    if image.shape[:2] != (atlas.height, atlas.width):
-        raise ValueError(
-            f"background has {image.shape[1]}x{image.shape[0]} texels but the atlas has "
-            f"{atlas.width}x{atlas.height}; resize it, or leave it out"
-        )
-    covered = atlas.covered
-    image[covered] = quantized(colors, image.dtype)
-    return fill_gutter(image, covered)
+def paint(atlas: Atlas, colors: Float32[Any, "P 3"], dtype: DTypeLike = np.uint8) -> UInt[Any, "H W 3"]:
+    """An image with these colours, clipped to [0, 1], at the atlas' texels, and filled gutters."""
+    image = np.zeros((atlas.height, atlas.width, 3), dtype)
+    image[atlas.covered] = quantized(colors, dtype)
+    return fill_gutter(image, atlas.covered)
 
 
 # --- areas
 
 
 def uv_areas(mesh: TexturedMesh, slot: Slot = "base_color") -> Float64[Any, "F"]:
-    """The area of each face on its texture, negative where the texture is seen from behind; v runs down."""
+    """The area of each face on its texture, negative if the texture is mirrored; v runs down."""
     u, v = np.moveaxis(mesh.maps[slot].corner_uvs, -1, 0)
     return ((u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]) - (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0])) / 2

@@ -1,9 +1,9 @@
 """Pictures of a textured mesh by a NumPy z-buffer: no GL library, no display.
 
-The camera looks at the middle of the mesh from (azimuth, elevation) in degrees; azimuth 0 looks along −z
-(y up, glTF) or along +y (z up), and grows counter-clockwise seen from above. It stands back until the sphere
-about the mesh fits, so every view has the same scale. Light is added and pixels are averaged linearly, not
-in sRGB. Both sides of a face are drawn.
+The camera looks at the middle of the mesh from (azimuth, elevation) in degrees. At azimuth 0 it looks along
+−z (y up, glTF) or along +y (z up); azimuths grow counter-clockwise seen from above. The bounding sphere of
+the mesh fits the view, so every view has the same scale. Light is added and pixels are averaged in linear
+light, not in sRGB. Both sides of a face are drawn.
 """
 
 from collections.abc import Sequence
@@ -13,29 +13,25 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from flx.geometry.arrays import area_normals, sum_at
+from flx.geometry.arrays import area_normals, dot, vertex_normals
 from flx.geometry.color import linear, srgb
 from flx.geometry.raster import Planes, barycentric_planes, pixels_inside
 from flx.geometry.sampling import face_normals, surface_colors
 from flx.types import SurfacePoints, TexturedMesh
 
-BACKGROUND = 0.94  # sRGB grey: white glaze stands out from it
+BACKGROUND = 0.94  # grey, sRGB, from which white glaze stands out
 FIELD_OF_VIEW = 25.0  # degrees
-CREASE = 0.82  # cosine of the angle, 35°, beyond which a corner keeps its face's normal
+CREASE = 0.82  # cosine of 35°: a corner that bends more keeps the normal of its face
 KEY_LIGHT = np.array([-0.35, 0.5, 0.8])  # over the viewer's left shoulder: right, up, towards the viewer
-AMBIENT, SKY, KEY, SHINE = (
-    0.30,
-    0.16,
-    0.58,
-    0.03,
-)  # linear light; they add up to about 1 where it is brightest
-STEPS = 4095  # of the tables between sRGB and linear light
+AMBIENT, SKY, KEY, SHINE = 0.30, 0.16, 0.58, 0.03  # linear light; their sum, the most, is about 1
+STEPS = 4095  # size of the tables between sRGB and linear light, less one
+MARGIN = 12  # pixels around the pictures of a contact sheet
 
 
 class View(NamedTuple):
-    """What does not change with a mesh's colours: where rays meet it, and how these points are lit."""
+    """What does not depend on a mesh's colours: where rays meet it, and the light at these points."""
 
-    rays: Int[Any, "P"]  # that meet the surface, of (size · supersample)²
+    rays: Int[Any, "P"]  # indices of the rays that meet the surface, of (size · supersample)²
     points: SurfacePoints
     light: Float32[Any, "P"]
     gloss: Float32[Any, "P"]
@@ -52,15 +48,13 @@ def render(
     up: Literal["y", "z"] = "y",
     supersample: int = 2,
 ) -> UInt8[Any, "size size 3"]:
-    """A square view in perspective; `textures`, where given, are shown instead of the mesh's own.
+    """A square view in perspective, with `textures` instead of the mesh's own if they are given.
 
-    Each pixel is the mean of supersample² rays. For many colours of one mesh, `look` once and `show` each.
+    Each pixel is the mean of supersample² rays. For one mesh in many colours, `look` once and `show` each.
     """
     if textures is not None:
-        if len(textures) != len(mesh.textures):
-            raise ValueError(
-                f"{len(textures)} textures for a mesh that has {len(mesh.textures)}; give one image for each"
-            )
+        if len(textures) != (count := len(mesh.textures)):
+            raise ValueError(f"{len(textures)} textures for a mesh that has {count}; give one image for each")
         mesh = mesh.with_layer(images=tuple(textures))
     return show(look(mesh, azimuth, elevation, size, up, supersample), mesh)
 
@@ -73,7 +67,7 @@ def look(
     up: Literal["y", "z"] = "y",
     supersample: int = 2,
 ) -> View:
-    """The geometry of a view, whatever the colours."""
+    """The geometry of a view, for any colours."""
     axes, eye = _camera(mesh.vertices, azimuth, elevation, up)
     seen = (mesh.vertices - eye) @ axes.T  # right, up, towards the viewer
     depths = -seen[:, 2]
@@ -89,7 +83,7 @@ def look(
 
 
 def show(view: View, mesh: TexturedMesh) -> UInt8[Any, "_ _ 3"]:
-    """The picture of a view in the colours of `mesh`, whose vertices and faces are those looked at."""
+    """The picture of a view in the colours of `mesh`, which must have the vertices and faces of the view."""
     size, n = view.size, view.supersample
     colors = LINEAR[_steps(surface_colors(mesh, view.points))]
     picture = np.full(((size * n) ** 2, 3), LINEAR[round(BACKGROUND * STEPS)], np.float32)
@@ -118,10 +112,10 @@ def _camera(
 def _visible(
     screen: Float64[Any, "V 2"], depths: Float64[Any, "V"], faces: Int[Any, "F 3"], rays: int
 ) -> tuple[Int[Any, "P"], SurfacePoints]:
-    """The z-buffer: pixels where a face is seen, and the nearest point there.
+    """The z-buffer: pixels where a face is visible, and the nearest point there.
 
-    1/depth is linear on the screen; 31 bits of it and the face share one integer, so that its maximum names
-    the nearest face (the last of equally near ones).
+    1/depth is linear on the screen. 31 bits of it and the face's index share one integer, so that the largest
+    integer holds the nearest face (the last one of equally near faces).
     """
     nearness = 1 / depths
     low, high = nearness.min(), nearness.max()
@@ -140,12 +134,10 @@ def _visible(
 
 
 def _corner_normals(mesh: TexturedMesh) -> Float64[Any, "F 3 3"]:
-    """Area-weighted vertex normals, but the face's own at corners that sit on a crease."""
-    areas = area_normals(mesh.vertices, mesh.faces)
+    """Area-weighted vertex normals, but the face's own normal at corners on a crease."""
     flat = face_normals(mesh.vertices, mesh.faces)
-    smooth = sum_at(mesh.faces, areas, len(mesh.vertices))
-    smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-300)
-    smooth = smooth[mesh.faces]
+    areas = area_normals(mesh.vertices, mesh.faces)
+    smooth = vertex_normals(mesh.faces, areas, len(mesh.vertices))[mesh.faces]
     creased = np.einsum("fkx,fx->fk", smooth, flat) < CREASE
     return np.where(creased[..., None], flat[:, None], smooth)
 
@@ -153,50 +145,45 @@ def _corner_normals(mesh: TexturedMesh) -> Float64[Any, "F 3 3"]:
 def _lighting(
     normals: Float64[Any, "P 3"], towards: Float64[Any, "P 3"], upward: Float64[Any, "3"]
 ) -> tuple[Float32[Any, "P"], Float32[Any, "P"]]:
-    """Linear light from a soft lamp at the viewer's shoulder, the sky and everywhere; and a faint gloss."""
+    """Linear light from a soft lamp at the viewer's shoulder, the sky and all around; and a faint gloss."""
     normals, towards, key, sky = (x.astype(np.float32) for x in (normals, towards, KEY_LIGHT, upward))
     towards /= _lengths(towards)
-    facing = np.einsum("px,px->p", normals, towards)
+    facing = dot(normals, towards)
     normals *= np.where(facing < 0, -1, 1)[:, None] / np.maximum(_lengths(normals), 1e-30)
     key /= np.linalg.norm(key)
     half = towards + key
     half /= _lengths(half)
-    soft = np.clip((normals @ key + 0.25) / 1.25, 0, 1)  # wraps a little round the edge
+    soft = np.clip((normals @ key + 0.25) / 1.25, 0, 1)  # reaches a little beyond 90°
     light = AMBIENT + SKY * (normals @ sky + 1) / 2 + KEY * soft
-    gloss = SHINE * np.clip(np.einsum("px,px->p", normals, half), 0, 1) ** 60
+    gloss = SHINE * np.clip(dot(normals, half), 0, 1) ** 60
     return light.astype(np.float32), gloss.astype(np.float32)
 
 
 def _lengths(vectors: Float32[Any, "P 3"]) -> Float32[Any, "P 1"]:
-    return np.sqrt(np.einsum("px,px->p", vectors, vectors))[:, None]  # 10 times as fast as linalg.norm
+    return np.sqrt(dot(vectors, vectors))[:, None]  # 10 times as fast as linalg.norm
 
 
 def contact_sheet(
-    rows: Sequence[Sequence[UInt8[Any, "_ _ 3"]]], captions: Sequence[str] | None = None, margin: int = 12
+    rows: Sequence[Sequence[UInt8[Any, "_ _ 3"]]], captions: Sequence[str] | None = None
 ) -> UInt8[Any, "_ _ 3"]:
-    """Pictures on a grid, each cell as large as the largest, with one caption above each column."""
+    """Pictures centred in the cells of a grid, with one caption above each column."""
     columns = max(map(len, rows))
     if captions is not None and len(captions) != columns:
         raise ValueError(f"{len(captions)} captions for {columns} columns; give one for each")
-    height = max(picture.shape[0] for row in rows for picture in row)
-    width = max(picture.shape[1] for row in rows for picture in row)
+    height, width = np.max([picture.shape[:2] for row in rows for picture in row], axis=0).tolist()
     letters = max(12, width // 20)
-    top = margin + (letters + margin if captions else 0)
-    grey = round(BACKGROUND * 255)
-    sheet = Image.new(
-        "RGB", (columns * (width + margin) + margin, len(rows) * (height + margin) + top), (grey,) * 3
-    )
-    for y, row in enumerate(rows):
-        for x, picture in enumerate(row):
-            corner = (
-                margin + x * (width + margin) + (width - picture.shape[1]) // 2,
-                top + y * (height + margin) + (height - picture.shape[0]) // 2,
-            )
+    top = MARGIN + (letters + MARGIN if captions else 0)
+    lefts = [MARGIN + x * (width + MARGIN) for x in range(columns + 1)]
+    tops = [top + y * (height + MARGIN) for y in range(len(rows) + 1)]
+    sheet = Image.new("RGB", (lefts[-1], tops[-1]), (round(BACKGROUND * 255),) * 3)
+    for y, row in zip(tops, rows, strict=False):
+        for x, picture in zip(lefts, row, strict=False):
+            corner = (x + (width - picture.shape[1]) // 2, y + (height - picture.shape[0]) // 2)
             sheet.paste(Image.fromarray(picture), corner)
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(letters)
-    for x, caption in enumerate(captions or ()):
-        middle = margin + x * (width + margin) + width / 2
-        pen.text((middle, margin + letters / 2), caption, fill=(60, 60, 60), font=font, anchor="mm")
+    for x, caption in zip(lefts, captions or (), strict=False):
+        place = (x + width / 2, MARGIN + letters / 2)
+        pen.text(place, caption, fill=(60, 60, 60), font=font, anchor="mm")
     return np.array(sheet)
 
 

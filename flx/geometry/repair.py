@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy.spatial import KDTree
 
-from flx.geometry.arrays import distinct_rows, face_areas
+from flx.geometry.arrays import distinct_rows, face_areas, mark, squared_sides
 from flx.geometry.topology import (
     Edges,
     boundary_loops,
@@ -21,7 +21,6 @@ from flx.geometry.topology import (
     count_fans,
     edges_of,
     label_components,
-    mark,
 )
 
 # Distance below which vertices are welded, as a share of the diagonal: above the round-off of a float64
@@ -154,19 +153,17 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
         split_vertices=len(origins) - len(used),
     )
     vertices = points[used[origins]]
-    return Repaired(vertices, compact, sources, repairs, _topology_counts(vertices, compact, edges))
+    return Repaired(vertices, compact, sources, repairs, topology_counts(vertices, compact, edges))
 
 
-def topology_counts(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> TopologyCounts:
+def topology_counts(
+    vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], edges: Edges | None = None
+) -> TopologyCounts:
     """Components, boundary and Euler characteristic of a manifold mesh without unused vertices."""
-    return _topology_counts(vertices, faces, edges_of(faces, len(vertices)))
-
-
-def _topology_counts(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], edges: Edges) -> TopologyCounts:
+    edges = edges or edges_of(faces, len(vertices))
     ends = edges.ends
     rim = ends[edges.uses == 1]
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    longest = np.maximum(((b - a) ** 2).sum(1), np.maximum(((c - a) ** 2).sum(1), ((c - b) ** 2).sum(1)))
+    longest = squared_sides(vertices, faces).max(0)
     return TopologyCounts(
         components=label_components(ends, len(vertices))[0],
         boundary_edges=len(rim),
@@ -183,9 +180,7 @@ def _cut(faces: Int[Any, "F 3"]) -> tuple[Int[Any, "F 3"], Int[Any, "V"]]:
     """
     split_faces, origins = (np.asarray(array, np.int64) for array in igl.split_nonmanifold(faces))
     order = np.argsort(origins, kind="stable")
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return rank[split_faces], origins[order]
+    return np.argsort(order)[split_faces], origins[order]
 
 
 def _doubled_ears(faces: Int[Any, "F 3"], same: Int[Any, "F"]) -> Bool[Any, "F"]:

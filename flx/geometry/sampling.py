@@ -1,4 +1,4 @@
-"""Points on a surface: where they are, the colours there, the closest ones on another triangulation.
+"""Points on a surface: their positions, the colours there, the closest points on another triangulation.
 
 A point is a face and three barycentrics (`SurfacePoints`). A zero-area face has the zero normal. Large work
 goes in chunks: memory is bounded by the result, not by the mesh.
@@ -10,7 +10,7 @@ import igl
 import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt
 
-from flx.geometry.arrays import area_normals, face_areas
+from flx.geometry.arrays import area_normals, chunks, dot, face_areas
 from flx.geometry.raster import CHUNK
 from flx.types import Slot, SurfacePoints, TexturedMesh, Triangulation
 
@@ -18,7 +18,7 @@ from flx.types import Slot, SurfacePoints, TexturedMesh, Triangulation
 def positions(
     vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], points: SurfacePoints
 ) -> Float64[Any, "P 3"]:
-    """Where points of a surface are in space, in the vertices' units."""
+    """The positions of points of a surface in space, in the vertices' units."""
     return np.einsum("pkx,pk->px", vertices[faces[points.faces]], points.barycentrics)
 
 
@@ -30,12 +30,12 @@ def face_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float
 
 
 def texture_colors(image: UInt[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Float32[Any, "P 3"]:
-    """Bilinear colours of a repeating texture at any real (u, v); v runs down."""
+    """Bilinear colours of a repeating texture at any real (u, v)."""
     height, width = image.shape[:2]
     texels = image.reshape(-1, 3)
     colors = np.empty((len(uvs), 3), np.float32)
-    for start in range(0, len(uvs), CHUNK):
-        x, y = (uvs[start : start + CHUNK] * [width, height] - 0.5).T
+    for part in chunks(len(uvs), CHUNK):
+        x, y = (uvs[part] * [width, height] - 0.5).T
         left, top = np.floor(x), np.floor(y)
         right_share, low_share = (x - left).astype(np.float32), (y - top).astype(np.float32)
         left, top = left.astype(np.int64) % width, top.astype(np.int64) % height
@@ -44,16 +44,16 @@ def texture_colors(image: UInt[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Float
         for row, vertical in zip(rows, (1 - low_share, low_share), strict=True):
             for column, horizontal in zip(columns, (1 - right_share, right_share), strict=True):
                 chunk += texels.take(row + column, axis=0) * (vertical * horizontal)[:, None]
-        colors[start : start + CHUNK] = chunk / np.float32(np.iinfo(image.dtype).max)
+        colors[part] = chunk / np.float32(np.iinfo(image.dtype).max)
     return colors
 
 
 def surface_colors(
     mesh: TexturedMesh, points: SurfacePoints, slot: Slot = "base_color"
 ) -> Float32[Any, "P 3"]:
-    """The colours of points, or what another slot's images say there, in [0, 1] as they are stored.
+    """The colours of points, or the values of another slot there, in [0, 1] as they are stored.
 
-    Read at the corners of each point's own face: a UV seam never mixes two charts.
+    Texture coordinates are those of the point's own face, so a UV seam never mixes two charts.
     """
     layer = mesh.maps[slot]
     if not layer.images:
@@ -72,22 +72,20 @@ def surface_colors(
 
 def locate(
     points: Float64[Any, "P 3"],
-    normals: Float64[Any, "P 3"] | None,
+    normals: Float64[Any, "P 3"],
     vertices: Float64[Any, "V 3"],
     faces: Int[Any, "F 3"],
 ) -> SurfacePoints:
-    """The closest points on a triangulation; with unit `normals`, on the side that faces as they do.
+    """The closest points on a triangulation, on the side that faces the same way as the unit `normals`.
 
-    On a thin wall the closest face may be the far side's. Where its normal opposes the query's, the query is
-    asked again among faces that agree. Opposed queries are grouped by the nearest of 26 directions; the faces
-    asked lie near enough to the group's direction to agree with every query in it. A query without any such
-    face keeps its first answer.
+    On a thin wall the closest face may be on the far side. If its normal opposes the point's, the search is
+    repeated among faces that agree. Opposed points are grouped by the nearest of 26 directions; the faces
+    searched are close enough to that direction to agree with every point of the group. Without such a face,
+    the first hit stays.
     """
-    hits = _closest(points, vertices, faces)
-    if normals is None:
-        return hits
+    hits = closest_points(points, vertices, faces)
     targets = face_normals(vertices, faces)
-    opposed = np.flatnonzero(np.einsum("px,px->p", targets[hits.faces], normals) < 0)
+    opposed = np.flatnonzero(dot(targets[hits.faces], normals) < 0)
     grid = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1
     directions = grid / np.linalg.norm(grid, axis=1, keepdims=True)
     cosines = normals[opposed] @ directions.T
@@ -95,35 +93,31 @@ def locate(
     for group in np.unique(nearest):
         members = nearest == group
         spread = np.sqrt(np.maximum(1 - cosines[members, group].min() ** 2, 0))
-        agreeing = np.flatnonzero(targets @ directions[group] > spread)
-        if len(agreeing) == 0:
-            continue
-        again = _closest(points[opposed[members]], vertices, faces[agreeing])
-        hits.faces[opposed[members]] = agreeing[again.faces]
-        hits.barycentrics[opposed[members]] = again.barycentrics
+        agreeing, members = np.flatnonzero(targets @ directions[group] > spread), opposed[members]
+        if len(agreeing):
+            again = closest_points(points[members], vertices, faces[agreeing])
+            hits.faces[members], hits.barycentrics[members] = agreeing[again.faces], again.barycentrics
     return hits
 
 
-def _closest(
+def closest_points(
     points: Float64[Any, "P 3"], vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]
 ) -> SurfacePoints:
+    """The closest points on a triangulation, whichever way it faces there."""
     _, hits, closest = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points), np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int64)
     )
-    faces_hit = np.empty(len(points), np.int64)  # libigl's integer is another of 64 bits
-    faces_hit[:] = np.ravel(hits)
+    faces_hit = np.ravel(hits).astype(np.int64)  # libigl returns another 64-bit integer type
     closest, barycentrics = np.asarray(closest).reshape(-1, 3), np.empty((len(points), 3))
-    for start in range(0, len(points), CHUNK):
-        part = slice(start, start + CHUNK)
+    for part in chunks(len(points), CHUNK):
         barycentrics[part] = _barycentrics(closest[part], vertices[faces[faces_hit[part]]])
     return SurfacePoints(faces_hit, barycentrics)
 
 
 def _barycentrics(points: Float64[Any, "P 3"], corners: Float64[Any, "P 3 3"]) -> Float64[Any, "P 3"]:
-    """Of points that lie each on its triangle."""
+    """The barycentrics of points, each on a triangle of its own."""
     a, b, c = np.moveaxis(corners, 1, 0)
     ab, ac, ap = b - a, c - a, points - a
-    dot = lambda x, y: np.einsum("px,px->p", x, y)  # noqa: E731
     area = np.maximum(dot(ab, ab) * dot(ac, ac) - dot(ab, ac) ** 2, np.finfo(float).tiny)
     second = (dot(ac, ac) * dot(ap, ab) - dot(ab, ac) * dot(ap, ac)) / area
     third = (dot(ab, ab) * dot(ap, ac) - dot(ab, ac) * dot(ap, ab)) / area
@@ -136,8 +130,8 @@ def ring_points(
 ) -> tuple[SurfacePoints, Int[Any, "V S"]]:
     """Points uniform by area in each vertex's one-ring, and which corner of its face the vertex is.
 
-    Stratified: sample s lies in the s-th equal share of the ring's faces laid end to end. The points are
-    flattened, those of vertex v from v·samples on. Every vertex must have a face.
+    Stratified: sample s lies in the s-th equal share of the ring's faces laid end to end. The points of
+    vertex v start at v·samples. Every vertex must have a face.
     """
     vertices, faces = triangulation
     fans = np.argsort(faces.ravel(), kind="stable")  # corners, grouped by their vertex
@@ -163,6 +157,5 @@ def transfer(
     onto_faces: np.ndarray,
 ) -> SurfacePoints:
     """The closest points of another triangulation that face the same way."""
-    where = positions(vertices, faces, points)
     normals = face_normals(vertices, faces)[points.faces]
-    return locate(where, normals, onto_vertices, onto_faces)
+    return locate(positions(vertices, faces, points), normals, onto_vertices, onto_faces)

@@ -14,6 +14,7 @@ from jaxtyping import Complex128, Float64, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from flx.geometry.arrays import mark
 from flx.geometry.tangent import TangentFrames, tangent_frames, transports
 from flx.types import MeshTables, OneRings, Pooling, Triangulation
 
@@ -39,10 +40,8 @@ def mesh_tables(
     Raises:
       ValueError: a vertex of either level has more neighbours than slots − 1; a coarse count outside 1..V.
     """
-    fine, pooling, coarse = exact_tables(triangulation, slots, seed, coarse_count)
-    return MeshTables(
-        OneRings(*map(_rounded, fine)), Pooling(*map(_rounded, pooling)), OneRings(*map(_rounded, coarse))
-    )
+    exact = exact_tables(triangulation, slots, seed, coarse_count)
+    return MeshTables._make(part._make(map(_rounded, part)) for part in exact)
 
 
 def exact_tables(
@@ -56,8 +55,8 @@ def exact_tables(
     frames = tangent_frames(triangulation)
     graph = _edge_graph(frames)
     forest = _shortest_paths(graph, frames, _farthest_points(graph, coarse_count, seed))
-    fine, coarse = one_rings(frames, slots), _coarse_rings(frames, forest, slots)
-    return MeshTables(fine, _pooling(forest, frames.masses), coarse)
+    pooling = _pooling(forest, frames.masses)
+    return MeshTables(one_rings(frames, slots), pooling, _coarse_rings(frames, forest, slots))
 
 
 def one_rings(frames: TangentFrames, slots: int = 16) -> OneRings:
@@ -96,12 +95,8 @@ def stack(tables: Sequence[MeshTables]) -> MeshTables:
         )
         for t in tables
     ]
-    fine, pooling, coarse = zip(*padded, strict=True)
-    return MeshTables(
-        OneRings(*map(np.stack, zip(*fine, strict=True))),
-        Pooling(*map(np.stack, zip(*pooling, strict=True))),
-        OneRings(*map(np.stack, zip(*coarse, strict=True))),
-    )
+    parts = zip(*padded, strict=True)
+    return MeshTables._make(part[0]._make(map(np.stack, zip(*part, strict=True))) for part in parts)
 
 
 # ---- padded rings --------------------------------------------------------------------------------------
@@ -120,7 +115,6 @@ def _padded_rings(
     `level` names the vertices in errors.
     """
     p, slot, q, reverse_slot = entries
-    count = len(masses)
     width = 1 + int(slot.max(initial=0))
     if width > slots:
         vertex = int(p[slot.argmax()])
@@ -128,24 +122,16 @@ def _padded_rings(
             f"{level} {vertex} has {width - 1} neighbours but the table has {slots} slots, one of them its "
             "own; remesh, or raise surface.slots"
         )
-    neighbors = np.repeat(np.arange(count, dtype=np.int32)[:, None], width, axis=1)
-    neighbors[p, slot] = q
-    reverse = np.tile(np.arange(width, dtype=np.int32), (count, 1))
-    reverse[p, slot] = reverse_slot
-    padded_logs = np.zeros((count, width), np.complex128)
-    padded_logs[p, slot] = logs
-    padded_transports = np.ones((count, width), np.complex128)
-    padded_transports[p, slot] = transports
-    weights = np.zeros((count, width))
+    shape = (len(masses), width)
+    neighbors, reverse = np.indices(shape, np.int32)
+    neighbors[p, slot], reverse[p, slot] = q, reverse_slot
+    padded_logs, padded_transports = np.zeros(shape, np.complex128), np.ones(shape, np.complex128)
+    padded_logs[p, slot], padded_transports[p, slot] = logs, transports
+    weights = np.zeros(shape)
     weights[:, 0] = masses
     weights[p, slot] = masses[q]
     return OneRings(
-        neighbors=neighbors,
-        reverse=reverse,
-        logs=padded_logs,
-        transports=padded_transports,
-        weights=_normalized(weights),
-        masses=_normalized(masses),
+        neighbors, reverse, padded_logs, padded_transports, _normalized(weights), _normalized(masses)
     )
 
 
@@ -220,10 +206,7 @@ def _spaced(
         if not len(i):
             return chosen
         worse = (priority[i] < priority[j]) | ((priority[i] == priority[j]) & (i > j))
-        keep = np.zeros(len(priority), bool)
-        keep[chosen] = True
-        keep[i[worse]] = False
-        chosen = np.flatnonzero(keep)
+        chosen = np.setdiff1d(chosen, i[worse])
 
 
 def _shortest_paths(graph: csr_array, frames: TangentFrames, centers: Int[Any, "W"]) -> _Forest:
@@ -233,15 +216,13 @@ def _shortest_paths(graph: csr_array, frames: TangentFrames, centers: Int[Any, "
     parents[centers] = np.arange(len(centers))
     parents = parents[nearest]
 
-    done = np.zeros(len(distances), bool)
-    done[centers] = True
+    done = mark(len(distances), centers)
     before[centers] = centers
-    place = (frames.neighbors == before[:, None]).argmax(axis=1)
-    step = np.conj(transports(frames)[np.arange(len(place)), place])  # P_{before←v}
-    reverse = frames.reverse[np.arange(len(place)), place]
+    back = np.arange(len(before)), (frames.neighbors == before[:, None]).argmax(axis=1)
+    step = np.conj(transports(frames)[back])  # P_{before←v}
+    reverse = frames.reverse[back]
     edge = (frames.lengths * frames.directions)[before, reverse]  # log_before v
-    carried = np.ones(len(distances), np.complex128)
-    logs = np.zeros(len(distances), np.complex128)
+    carried, logs = np.ones(len(distances), np.complex128), np.zeros(len(distances), np.complex128)
     while not done.all():
         v = np.flatnonzero(~done & done[before])
         u = before[v]
@@ -257,11 +238,9 @@ def _pooling(forest: _Forest, masses: Float64[Any, "V"]) -> Pooling:
     slot = _rank_in_group(parent)
     shape = (len(forest.centers), int(slot.max()) + 1)
     children = np.repeat(forest.centers[:, None], shape[1], axis=1)
+    child_transports, weights = np.ones(shape, np.complex128), np.zeros(shape)
     children[parent, slot] = order
-    child_transports = np.ones(shape, np.complex128)
-    child_transports[parent, slot] = forest.transports[order]
-    weights = np.zeros(shape)
-    weights[parent, slot] = masses[order]
+    child_transports[parent, slot], weights[parent, slot] = forest.transports[order], masses[order]
     return Pooling(
         centers=forest.centers.astype(np.int32),
         parents=forest.parents.astype(np.int32),
@@ -287,8 +266,7 @@ def _coarse_rings(frames: TangentFrames, forest: _Forest, slots: int) -> OneRing
 
     length = forest.distances[a] + _whole_lengths(frames)[a, place] + forest.distances[b]
     order = np.lexsort((b, a, length, q, p))
-    fresh = np.ones(len(order), bool)
-    fresh[1:] = (np.diff(p[order]) != 0) | (np.diff(q[order]) != 0)
+    fresh = (np.diff(p[order], prepend=-1) != 0) | (np.diff(q[order], prepend=-1) != 0)
     best = order[fresh]
     a, b, place, p, q = a[best], b[best], place[best], p[best], q[best]
 
@@ -322,10 +300,8 @@ def _rank_in_group(groups: Int[Any, "N"]) -> Int[Any, "N"]:
 
 def _pad_rings(rings: OneRings, count: int, width: int) -> OneRings:
     v, k = rings.neighbors.shape
-    neighbors = np.repeat(np.arange(count, dtype=np.int32)[:, None], width, axis=1)
-    neighbors[:v, :k] = rings.neighbors
-    reverse = np.tile(np.arange(width, dtype=np.int32), (count, 1))
-    reverse[:v, :k] = rings.reverse
+    neighbors, reverse = np.indices((count, width), np.int32)
+    neighbors[:v, :k], reverse[:v, :k] = rings.neighbors, rings.reverse
     padding = ((0, count - v), (0, width - k))
     return OneRings(
         neighbors,

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int
 
-from flx.geometry.arrays import face_areas
+from flx.geometry.arrays import face_areas, mark
 from flx.types import Triangulation
 
 
@@ -60,23 +60,17 @@ def tangent_frames(triangulation: Triangulation) -> TangentFrames:
     corner_angles = _corner_angles(triangulation)
     angles = corner_angles.ravel()
 
-    corners = np.arange(len(at))
     first = np.full(count, -1)
-    first[at[::-1]] = corners[::-1]  # interior vertices start at their first corner
-    opens = np.ones(len(at), bool)
-    opens[following[following >= 0]] = False
-    boundary = np.ones(count, bool)  # a vertex without faces counts as boundary
-    boundary[at] = False
-    boundary[at[opens]] = True
-    first[at[opens]] = corners[opens]
+    first[at[::-1]] = np.arange(len(at))[::-1]  # interior vertices start at their first corner
+    opening = np.flatnonzero(~mark(len(at), following[following >= 0]))
+    first[at[opening]] = opening
+    boundary = ~mark(count, at) | mark(count, at[opening])  # a vertex without faces counts as boundary
 
     degrees = np.bincount(at, minlength=count)
     width = int((degrees + boundary).max(initial=0))
     neighbors = np.full((count, width), -1)
-    theta = np.zeros((count, width))
-    starts = np.zeros(len(at))
-    total = np.zeros(count)
-    visited = np.zeros(count, np.int64)
+    theta, starts = np.zeros((count, width)), np.zeros(len(at))
+    total, visited = np.zeros(count), np.zeros(count, np.int64)
     active = np.flatnonzero(first >= 0)
     corner = first[active]
     for k in range(width):

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from flx.geometry.arrays import chunks, length_of, sort_keys
+from flx.geometry.arrays import chunks, length_of, mark, sort_keys
 
 
 class Edges(NamedTuple):
@@ -44,6 +44,7 @@ class Edges(NamedTuple):
 class Topology(NamedTuple):
     """Edges of a manifold mesh, sorted by `keys` = smaller vertex · V + larger vertex."""
 
+    count: int  # V
     edges: Int[Any, "E 2"]
     keys: Int[Any, "E"]
     corners: Int[Any, "E 2"]  # opposite corners; the second is -1 at the boundary
@@ -52,6 +53,16 @@ class Topology(NamedTuple):
     @property
     def boundary(self) -> Bool[Any, "E"]:
         return self.corners[:, 1] < 0
+
+    @property
+    def rim(self) -> Bool[Any, "V"]:
+        """Which vertices are on the boundary."""
+        return mark(self.count, self.edges[self.boundary])
+
+    @property
+    def valence(self) -> Int[Any, "V"]:
+        """The number of edges at each vertex."""
+        return np.bincount(self.edges.ravel(), minlength=self.count)
 
 
 def edges_of(faces: Int[Any, "F 3"], count: int) -> Edges:
@@ -78,7 +89,7 @@ def topology(faces: Int[Any, "F 3"], count: int) -> Topology:
         )
     second = edges.corners[np.minimum(edges.first + 1, len(edges.corners) - 1)]
     corners = np.stack([edges.corners[edges.first], np.where(edges.uses == 2, second, -1)], 1)
-    return Topology(edges.ends, edges.keys, corners, edges.of_faces)
+    return Topology(count, edges.ends, edges.keys, corners, edges.of_faces)
 
 
 def count_disagreeing(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
@@ -127,23 +138,16 @@ def edge_lengths(vertices: Float64[Any, "V 3"], topo: Topology) -> Float64[Any, 
     return lengths
 
 
-def find_edges(topo: Topology, count: int, a: Int[Any, "N"], b: Int[Any, "N"]) -> Int[Any, "N"]:
+def find_edges(topo: Topology, a: Int[Any, "N"], b: Int[Any, "N"]) -> Int[Any, "N"]:
     """The index of the edge between a and b, pair by pair; arbitrary where there is none (see `has_edge`)."""
-    key = np.minimum(a, b) * count + np.maximum(a, b)
+    key = np.minimum(a, b) * topo.count + np.maximum(a, b)
     return np.minimum(np.searchsorted(topo.keys, key), len(topo.keys) - 1)
 
 
-def has_edge(topo: Topology, count: int, a: Int[Any, "N"], b: Int[Any, "N"]) -> Bool[Any, "N"]:
+def has_edge(topo: Topology, a: Int[Any, "N"], b: Int[Any, "N"]) -> Bool[Any, "N"]:
     """Whether there is an edge between a and b, pair by pair."""
-    key = np.minimum(a, b) * count + np.maximum(a, b)
-    return topo.keys[find_edges(topo, count, a, b)] == key
-
-
-def mark(count: int, members: Int[Any, "..."]) -> Bool[Any, "V"]:
-    """A mask of length `count` that is true at the indices `members`."""
-    marked = np.zeros(count, bool)
-    marked[members] = True
-    return marked
+    key = np.minimum(a, b) * topo.count + np.maximum(a, b)
+    return topo.keys[find_edges(topo, a, b)] == key
 
 
 def any_of(marked: Bool[Any, "V"], groups: Int[Any, "N K"]) -> Bool[Any, "N"]:

@@ -7,7 +7,15 @@ from helpers.textured import noise, quad, separate_charts, textured
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flx.geometry.sampling import face_normals, locate, positions, ring_points, surface_colors, texture_colors
+from flx.geometry.sampling import (
+    closest_points,
+    face_normals,
+    locate,
+    positions,
+    ring_points,
+    surface_colors,
+    texture_colors,
+)
 from flx.types import SurfacePoints, Triangulation
 
 
@@ -43,7 +51,7 @@ def test_v_runs_down():
 def test_chunks_do_not_show(monkeypatch):
     uvs = np.random.default_rng(0).normal(size=(1000, 2))
     whole = texture_colors(noise(7, 5), uvs)
-    monkeypatch.setattr("flx.geometry.atlas.CHUNK", 7)
+    monkeypatch.setattr("flx.geometry.sampling.CHUNK", 7)
     np.testing.assert_array_equal(texture_colors(noise(7, 5), uvs), whole)
 
 
@@ -69,8 +77,7 @@ def test_points_of_the_surface_are_located_where_they_are():
     ball = ellipsoid(3)
     points, _ = ring_points(ball, 3, np.random.default_rng(1))
     places, normals = positions(*ball, points), face_normals(*ball)[points.faces]
-    for asked in (None, normals):
-        found = locate(places, asked, *ball)
+    for found in (closest_points(places, *ball), locate(places, normals, *ball)):
         np.testing.assert_allclose(positions(*ball, found), places, atol=1e-12)
         assert (found.barycentrics >= 0).all()
     assert (found.faces == points.faces).mean() > 0.99
@@ -101,7 +108,7 @@ def test_a_thin_wall_keeps_its_sides():
     asked = normals[points.faces]
     # Queries sink through the wall, as the chords of a coarse copy do.
     places = positions(*wall, points) - 0.004 * asked
-    blind, found = locate(places, None, *wall), locate(places, asked, *wall)
+    blind, found = closest_points(places, *wall), locate(places, asked, *wall)
     opposed = np.einsum("px,px->p", normals[blind.faces], asked) < 0
     assert opposed.mean() > 0.9  # the fault is there
     assert (np.einsum("px,px->p", normals[found.faces], asked) > 0.5).all()

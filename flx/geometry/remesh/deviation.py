@@ -9,11 +9,11 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, unit_vectors, vertex_normals
+from flx.geometry.arrays import area_normals, dot, mark, unit_vectors, vertex_normals
 from flx.geometry.remesh.features import features
 from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import sharpest_cosines
-from flx.geometry.topology import any_of, mark, topology
+from flx.geometry.topology import any_of, topology
 from flx.types import Triangulation
 
 EASY = 0.7  # distance, in allowed gaps, up to which nothing is penalised

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from flx.geometry.arrays import dot
+from flx.geometry.arrays import mark
 from flx.geometry.remesh.features import features
 from flx.geometry.remesh.operators import flip_edges
 from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
 from flx.geometry.remesh.stars import Stars, independent, sharpest_cosines
 from flx.geometry.remesh.tighten import FAIR_COSINE, FEW_SHARP, gap_to_close, pin_missed_points, tighten
-from flx.geometry.topology import mark, topology
+from flx.geometry.topology import topology
 from flx.types import Triangulation
 
 SHARP_COSINE = np.cos(np.radians(38.0))  # vertices of faces with a smaller angle are moved
@@ -42,22 +42,18 @@ def widen_angles(
     Feature vertices move along their curve and corners stay, except in needles; `pinned` vertices stay.
     """
     vertices, faces = mesh[0].copy(), mesh[1]
-    count = len(vertices)
-    topo = topology(faces, count)
-    kind = features(vertices, faces, topo)[1]
-    rim = mark(count, topo.edges[topo.boundary].ravel())
+    topo = topology(faces, len(vertices))
+    kind, rim = features(vertices, faces, topo)[1], topo.rim
     cosines = sharpest_cosines(vertices, faces)
     for attempt in range(MOST_TRIES):
         if attempt >= TRIES and (cosines > FAIR_COSINE).mean() < FEW_SHARP:
             break
-        needles = mark(count, faces[cosines > NARROW_COSINE].ravel())
+        needles = mark(topo.count, faces[cosines > NARROW_COSINE])
         movers = np.unique(faces[cosines > SHARP_COSINE])
         movers = movers[((kind[movers] < 2) | needles[movers]) & ~pinned[movers]]
-        movers = movers[independent(topo.edges, count, movers, rng.permutation(len(movers)))]
+        movers = movers[independent(topo, movers, rng.permutation(len(movers)))]
         stars = Stars(vertices, faces, movers)
-        step = rng.normal(size=(len(movers), 3)) * (0.2 * surface.length * rng.random(len(movers)))[:, None]
-        step -= dot(step, stars.normals)[:, None] * stars.normals
-        goals = vertices[movers] + step
+        goals = vertices[movers] + stars.random_steps(0.2 * surface.length, rng)
         landed, on_own_side = surface.project(goals, stars.normals, kind[movers], rim[movers])
         moved = vertices.copy()
         moved[movers] = landed

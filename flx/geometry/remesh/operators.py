@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, cross, dot, length_of, unit_vectors
+from flx.geometry.arrays import area_normals, cross, dot, length_of, mark, unit_vectors
 from flx.geometry.remesh.features import features
-from flx.geometry.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, mark, topology
+from flx.geometry.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, topology
 from flx.types import Triangulation
 
 CAP = np.radians(160.0)  # a face with a larger angle has no reliable normal
@@ -53,12 +53,12 @@ def ranks(priority: Float64[Any, "N"]) -> Int[Any, "N"]:
     return rank
 
 
-def _unconnected(topo, count, pairs, priority):
+def _unconnected(topo, pairs, priority):
     """A nearly maximal set of `pairs` of which no two share a vertex or an edge between them.
 
     Lowest priority first: a pair wins if it ranks before all its neighbours (Luby's algorithm, three rounds).
     """
-    (a, b), rank = pairs.T, ranks(priority)
+    (a, b), rank, count = pairs.T, ranks(priority), topo.count
     live = mark(count, pairs)
     u, v = topo.edges[all_of(live, topo.edges)].T
     won, left = [], np.arange(len(pairs))
@@ -124,7 +124,7 @@ def collapse_edges(
     count = len(vertices)
     topo = topology(faces, count)
     feature, kind = features(vertices, faces, topo)
-    allowed = ~mark(len(topo.edges), find_edges(topo, count, *refused.T))
+    allowed = ~mark(len(topo.edges), find_edges(topo, *refused.T))
     ids = _collapsible(vertices, faces, topo, feature, kind, shortest, allowed, rng)
     a, b = topo.edges[ids].T
     middle = (vertices[a] + vertices[b]) / 2
@@ -155,44 +155,40 @@ def collapse_edges(
 
 def _collapsible(vertices, faces, topo, feature, kind, shortest, allowed, rng):
     """A random independent set of short edges whose collapse keeps topology and features."""
-    count = len(vertices)
     lengths = edge_lengths(vertices, topo)
     ids = np.flatnonzero(allowed & (lengths < shortest))
     a, b = topo.edges[ids].T
-    boundary = topo.boundary
-    rim = mark(count, topo.edges[boundary].ravel())
-    boundary = boundary[ids]
+    rim, boundary = topo.rim, topo.boundary[ids]
     free = (feature[ids] | (kind[a] == 0) | (kind[b] == 0)) & ((kind[a] < 2) | (kind[b] < 2) | boundary)
     free |= (lengths[ids] < UNPROTECTED * shortest) & (boundary | ~(rim[a] & rim[b]))
     # Each opposite vertex loses an edge; it must keep three, or two at the boundary.
-    spare = np.bincount(topo.edges.ravel(), minlength=count) - np.where(rim, 2, 3)
+    spare = topo.valence - np.where(rim, 2, 3)
     corners = topo.corners[ids]
     opposite = faces.ravel()[np.where(corners < 0, corners[:, :1], corners)]
     free &= all_of(spare > 0, opposite)
     ids, opposite, boundary = ids[free], opposite[free], boundary[free]
     priority = lengths[ids] / shortest + rng.random(len(ids))
-    won = _unconnected(topo, count, topo.edges[ids], priority)
+    won = _unconnected(topo, topo.edges[ids], priority)
     ids, opposite, boundary = ids[won], opposite[won], boundary[won]
     # Where the collapses around an opposite vertex would take too many edges together, only one is made.
-    lost = np.bincount(opposite.ravel(), minlength=count)
+    lost = np.bincount(opposite.ravel(), minlength=topo.count)
     crowded = any_of(lost > spare, opposite)
-    first = np.flatnonzero(crowded)[:1]
-    chosen = np.concatenate([np.flatnonzero(~crowded), first])
+    chosen = np.concatenate([np.flatnonzero(~crowded), np.flatnonzero(crowded)[:1]])
     ids, boundary = ids[chosen], boundary[chosen]
     # Link condition (Dey et al. 1999): the ends share no neighbours other than the opposite vertices.
-    common = _common_neighbors(topo, count, *topo.edges[ids].T)
+    common = _common_neighbors(topo, *topo.edges[ids].T)
     return ids[common == np.where(boundary, 1, 2)]
 
 
-def _common_neighbors(topo, count, a, b):
+def _common_neighbors(topo, a, b):
     """The number of common neighbours of a and b, for edges a-b of which no two are adjacent."""
-    owner = np.full(count, -1)
+    owner = np.full(topo.count, -1)
     owner[a] = np.arange(len(a))
     common = np.zeros(len(a), np.int64)
     for near, far in (topo.edges.T, topo.edges.T[::-1]):
         rim = owner[near] >= 0
         pair, far = owner[near[rim]], far[rim]
-        joined = has_edge(topo, count, b[pair], far)
+        joined = has_edge(topo, b[pair], far)
         common += np.bincount(pair[joined], minlength=len(a))
     return common
 
@@ -222,34 +218,45 @@ def flip_edges(mesh: Triangulation, rng: np.random.Generator, delaunay: bool, pa
     topo = topology(faces, count)
     held = topo.edges[features(vertices, faces, topo)[0]]  # once is enough: flips create no features
     for _ in range(passes):
-        held = held[has_edge(topo, count, *held.T)]
+        held = held[has_edge(topo, *held.T)]
         inner = np.flatnonzero(~topo.boundary)
-        free = ~mark(len(topo.edges), find_edges(topo, count, *held.T))[inner]
-        face, corner = topo.corners[inner] // 3, topo.corners[inner, 0] % 3
-        # The faces are (p, a, b) and (q, b, a); they become (p, a, q) and (q, b, p).
-        p, q = faces.ravel()[topo.corners[inner].T]
-        a, b = faces[face[:, 0], (corner + 1) % 3], faces[face[:, 0], (corner + 2) % 3]
-        valence = np.bincount(topo.edges.ravel(), minlength=count)
+        free = ~mark(len(topo.edges), find_edges(topo, *held.T))[inner]
+        quads, face = edge_quads(topo, faces, inner)
+        (a, b, p, q), valence = quads.T, topo.valence
         cap = np.zeros(len(inner), bool)
         if delaunay:
             angles = _angle(vertices, p, a, b), _angle(vertices, q, a, b)
             cap = np.maximum(*angles) > CAP
             gain = angles[0] + angles[1] - np.pi - 1e-3
         else:
-            excess = valence - np.where(mark(count, topo.edges[topo.boundary].ravel()), 4, 6)
+            excess = valence - np.where(topo.rim, 4, 6)
             gain = excess[a] + excess[b] - excess[p] - excess[q] - 2.0
         free = (free | cap) & (gain > 0) & (valence[a] > 3) & (valence[b] > 3) & (p != q)
-        quads, gain, face, cap = np.stack([a, b, p, q], 1)[free], gain[free], face[free], cap[free]
-        good = ~has_edge(topo, count, *quads[:, 2:].T) & _flips_well(vertices[quads], cap)
+        quads, gain, face, cap = quads[free], gain[free], face[free], cap[free]
+        good = ~has_edge(topo, *quads[:, 2:].T) & _flips_well(vertices[quads], cap)
         quads, gain, face = quads[good], gain[good], face[good]
         chosen = disjoint(quads, count, rng.random(len(quads)) - gain)
         faces = faces.copy()
-        faces[face[chosen, 0]] = quads[chosen][:, [2, 0, 3]]
-        faces[face[chosen, 1]] = quads[chosen][:, [3, 1, 2]]
+        faces[face[chosen].T.ravel()] = flipped(quads[chosen])
         if len(chosen) < 0.002 * len(faces):
             break
         topo = topology(faces, count)
     return Triangulation(vertices, faces)
+
+
+def edge_quads(
+    topo: Topology, faces: Int[Any, "F 3"], edges: Int[Any, "N"]
+) -> tuple[Int[Any, "N 4"], Int[Any, "N 2"]]:
+    """For inner edges a-b, the vertices a, b, p, q of their faces (p, a, b) and (q, b, a), and the faces."""
+    rows, corner = topo.corners[edges] // 3, topo.corners[edges, 0] % 3
+    p, q = faces.ravel()[topo.corners[edges].T]
+    a, b = faces[rows[:, 0], (corner + 1) % 3], faces[rows[:, 0], (corner + 2) % 3]
+    return np.stack([a, b, p, q], 1), rows
+
+
+def flipped(quads: Int[Any, "N 4"]) -> Int[Any, "M 3"]:
+    """The faces (p, a, q), then the faces (q, b, p), that replace those of `edge_quads`."""
+    return np.concatenate([quads[:, [2, 0, 3]], quads[:, [3, 1, 2]]])
 
 
 def _angle(vertices, at, a, b):

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int
 
-from flx.geometry.arrays import area_normals, length_of
+from flx.geometry.arrays import area_normals, length_of, mark
 from flx.geometry.remesh.finishing import finish
 from flx.geometry.remesh.operators import NONE_REFUSED, collapse_edges, flip_edges, split_edges
 from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
-from flx.geometry.topology import edge_lengths, invariants, mark, topology
+from flx.geometry.topology import edge_lengths, invariants, topology
 from flx.types import Triangulation
 
 COARSENING = 1.4  # edge length of the random coarse mesh, in wanted edge lengths; at 1.0 copies share 74 %

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float64, Int
 
 from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors, vertex_normals
 from flx.geometry.remesh.features import CURVE, bends, features, long_curves
-from flx.geometry.topology import edge_lengths, mark, topology
+from flx.geometry.topology import edge_lengths, topology
 from flx.types import Triangulation
 
 GAP = 0.42  # widest gap allowed between mesh and surface, in wanted edge lengths
@@ -33,18 +33,17 @@ class ReferenceSurface:
         lengths = edge_lengths(vertices, topo)[creases]
         creases = long_curves(topo.edges[creases], lengths, len(vertices), CURVE * length, creases)
         self.vertices, self.faces, self.length = vertices, faces, length
-        self.normals = area_normals(vertices, faces)
-        narrow = (
-            NARROWEST * np.linalg.norm(np.ptp(vertices, axis=0)) / np.sqrt(length_of(self.normals).sum() / 2)
-        )
-        self.gap = min(GAP, narrow) * length
-        self.normals = unit_vectors(self.normals)
+        normals = area_normals(vertices, faces)
+        diagonal, area = np.linalg.norm(np.ptp(vertices, axis=0)), length_of(normals).sum() / 2
+        self.gap = min(GAP, NARROWEST * diagonal / np.sqrt(area)) * length
+        self.normals = unit_vectors(normals)
         self.edges, self.face_edges = topo.edges, topo.face_edges
         self.tree = igl.AABB()
         self.tree.init(vertices, faces)
         self.boundary = np.ascontiguousarray(topo.edges[topo.boundary])
         self.creases = np.ascontiguousarray(topo.edges[creases])
-        self.probes, self.outward = _probes(vertices, faces, topo, length)
+        outward = vertex_normals(faces, normals, len(vertices))
+        self.probes, self.outward = _probes(vertices, topo, self.normals, outward, length)
 
     def project(
         self,
@@ -109,11 +108,8 @@ class ReferenceSurface:
         return np.sqrt(np.asarray(self.tree.squared_distance(self.vertices, self.faces, points)[0]))
 
 
-def _probes(vertices, faces, topo, length):
+def _probes(vertices, topo, normals, outward, length):
     """Points that a mesh might miss, and their normals: all vertices, and points on long, bent edges."""
-    normals = area_normals(vertices, faces)
-    outward = vertex_normals(faces, normals, len(vertices))
-    normals = unit_vectors(normals)
     pieces = np.ceil(edge_lengths(vertices, topo) / (SPACING * length)).astype(np.int64)
     bent = np.flatnonzero((pieces > 1) & ~topo.boundary & (bends(normals, topo) < BENT_COSINE))
     inner = pieces[bent] - 1
@@ -138,7 +134,8 @@ def smooth(
     vertices, faces = mesh
     count = len(vertices)
     topo = topology(faces, count)
-    rim = mark(count, topo.edges[topo.boundary].ravel())
+    rim = topo.rim
+    pinned = np.zeros(count, bool) if pinned is None else pinned
     for _ in range(passes):
         feature, kind = features(vertices, faces, topo)
         normals = area_normals(vertices, faces)
@@ -152,14 +149,10 @@ def smooth(
         a, b = topo.edges[feature].T
         along = sum_at(a[:, None], vertices[b], count) + sum_at(b[:, None], vertices[a], count)
         step[kind == 1] = along[kind == 1] / 2 - vertices[kind == 1]
-        step[kind == 2] = 0
-        if pinned is not None:
-            step[pinned] = 0
-        wanted = vertices + 0.6 * step
-        moved, on_own_side = surface.project(wanted, outward, kind, rim)
-        moved[~on_own_side] = vertices[~on_own_side]
-        if pinned is not None:
-            moved[pinned] = vertices[pinned]
+        step[pinned | (kind == 2)] = 0
+        moved, on_own_side = surface.project(vertices + 0.6 * step, outward, kind, rim)
+        stays = pinned | ~on_own_side
+        moved[stays] = vertices[stays]
         vertices = _without_folds(vertices, moved, faces, normals)
     return Triangulation(vertices, faces)
 

@@ -5,22 +5,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, sum_at, unit_vectors
-from flx.geometry.topology import mark
+from flx.geometry.arrays import area_normals, dot, mark, squared_sides, sum_at, unit_vectors
+from flx.geometry.topology import Topology
 
 
 class Stars:
     """The faces around each of the vertices `centers`, no two of which are adjacent."""
 
-    def __init__(
-        self,
-        vertices: Float64[Any, "V 3"],
-        faces: Int[Any, "F 3"],
-        centers: Int[Any, "N"],
-    ):
-        self.owner = np.full(len(vertices), -1)  # the star of each vertex that is a centre, else -1
-        self.owner[centers] = np.arange(len(centers))
-        owners = np.maximum.reduce([np.take(self.owner, faces[:, k]) for k in range(3)])
+    def __init__(self, vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], centers: Int[Any, "N"]):
+        owner = np.full(len(vertices), -1)  # the star of each vertex that is a centre, else -1
+        owner[centers] = np.arange(len(centers))
+        owners = np.maximum.reduce([np.take(owner, faces[:, k]) for k in range(3)])
         self.ids = np.flatnonzero(owners >= 0)
         self.faces, self.owners, self.size = faces[self.ids], owners[self.ids], len(centers)
         self.face_normals = area_normals(vertices, self.faces)
@@ -32,6 +27,11 @@ class Stars:
         corners = np.take(vertices, self.faces, 0).sum(1) - vertices[self.centers[self.owners]]
         sums = sum_at(self.owners[:, None], corners, self.size)
         return sums / (2 * np.bincount(self.owners, minlength=self.size))[:, None]
+
+    def random_steps(self, scale: float, rng: np.random.Generator) -> Float64[Any, "N 3"]:
+        """Random moves of the centres along the surface; `scale` bounds their standard deviations."""
+        step = rng.normal(size=(self.size, 3)) * (scale * rng.random(self.size))[:, None]
+        return step - dot(step, self.normals)[:, None] * self.normals
 
     def worst(self, values: Float64[Any, "n"]) -> Float64[Any, "N"]:
         """The largest value among the faces of each star."""
@@ -50,24 +50,20 @@ def largest(owners: Int[Any, "n"], values: Float64[Any, "n"], size: int) -> Floa
     return maxima
 
 
-def independent(
-    edges: Int[Any, "E 2"], count: int, candidates: Int[Any, "N"], rank: Int[Any, "N"]
-) -> Bool[Any, "N"]:
-    """Which candidates (of `count` vertices) have a lower rank than all candidates next to them."""
-    rank_at = np.full(count, len(candidates))
+def independent(topo: Topology, candidates: Int[Any, "N"], rank: Int[Any, "N"]) -> Bool[Any, "N"]:
+    """Which candidates have a lower rank than all candidates next to them."""
+    rank_at = np.full(topo.count, len(candidates))
     rank_at[candidates] = rank
-    beaten = np.maximum(*np.take(rank_at, edges.T))
+    beaten = np.maximum(*np.take(rank_at, topo.edges.T))
     return ~mark(len(candidates) + 1, beaten)[rank]
 
 
 def sharpest_cosines(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
     """The cosine of each face's smallest angle."""
-    a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
-    sides = np.sort([dot(u, u) for u in (b - a, c - b, a - c)], axis=0)
+    sides = np.sort(squared_sides(vertices, faces), axis=0)
     return (sides[1] + sides[2] - sides[0]) / (2 * np.sqrt(sides[1] * sides[2]) + 1e-300)
 
 
 def longest_sides(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
     """The length of each face's longest side."""
-    a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
-    return np.sqrt(np.maximum.reduce([dot(u, u) for u in (b - a, c - b, a - c)]))
+    return np.sqrt(squared_sides(vertices, faces).max(0))

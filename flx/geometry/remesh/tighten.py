@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors
+from flx.geometry.arrays import area_normals, dot, length_of, mark, sum_at, unit_vectors
 from flx.geometry.remesh.deviation import EASY, distances_to_mesh, measure_faces, measure_mesh
-from flx.geometry.remesh.operators import disjoint, ranks
+from flx.geometry.remesh.operators import disjoint, edge_quads, flipped, ranks
 from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import Stars, independent, largest, longest_sides, sharpest_cosines
-from flx.geometry.topology import all_of, any_of, has_edge, mark, topology
+from flx.geometry.topology import all_of, any_of, has_edge, topology
 from flx.types import Triangulation
 
 LAPS, TRIES = 30, 8  # laps over the bad places of a mesh, and attempts at each place in a lap
@@ -51,29 +51,27 @@ def pin_missed_points(
     Returns the mesh, the vertices that are pinned now, and the probes to check again after smoothing.
     """
     vertices, faces = mesh[0].copy(), mesh[1]
-    count = len(vertices)
     gaps, hit = distances_to_mesh(surface.probes[probes], vertices, faces)
     again = probes[gaps > gap / 2]
     missed = np.flatnonzero(gaps > gap)
     targets, outward = surface.probes[probes[missed]], surface.outward[probes[missed]]
     gaps = gaps[missed]
-    topo = topology(faces, count)
-    rim = mark(count, topo.edges[topo.boundary].ravel())
+    topo = topology(faces, len(vertices))
     near = faces[hit[missed]]
     apart = np.stack([length_of(vertices[near[:, k]] - targets) for k in range(3)], 1)
     movers = np.take_along_axis(near, apart.argmin(1)[:, None], 1)[:, 0]
-    open_ = ~rim[movers] & ~pinned[movers] & (dot(area_normals(vertices, near), outward) > 0)
+    open_ = ~topo.rim[movers] & ~pinned[movers] & (dot(area_normals(vertices, near), outward) > 0)
     widest = np.flatnonzero(open_)[np.argsort(-gaps[open_], kind="stable")]
     movers, first = np.unique(movers[widest], return_index=True)
     goals = widest[first]
-    chosen = independent(topo.edges, count, movers, ranks(-gaps[goals]))
+    chosen = independent(topo, movers, ranks(-gaps[goals]))
     movers, goals = movers[chosen], goals[chosen]
     stars = Stars(vertices, faces, movers)
     moved = vertices.copy()
     moved[movers] = targets[goals]
     good = stars.keep_facing(moved, 0.1) & (stars.worst(sharpest_cosines(moved, stars.faces)) < NEEDLE_COSINE)
     vertices[movers[good]] = moved[movers[good]]
-    return Triangulation(vertices, faces), pinned | mark(count, movers[good]), again
+    return Triangulation(vertices, faces), pinned | mark(topo.count, movers[good]), again
 
 
 def tighten(
@@ -164,13 +162,11 @@ def _grown(marked, faces, count):
 def _moves(fit, bad, loose, surface, rng):
     """Random moves, on the surface, of corners of bad faces, no two of them adjacent; a patch is a star."""
     vertices, faces = fit.vertices, fit.faces
-    count = len(vertices)
     goals = np.full((len(faces), 3), np.nan)
     missed = fit.gaps > 1
     goals[fit.hits[missed]] = fit.probes[missed]
-    topo = topology(faces, count)
-    kind = fit.kind.copy()
-    rim = mark(count, topo.edges[topo.boundary].ravel())
+    topo = topology(faces, len(vertices))
+    kind, rim = fit.kind.copy(), topo.rim
     corners = faces[bad, rng.integers(3, size=len(bad))]
     movers, first = np.unique(corners, return_index=True)
     goals, loose = goals[bad[first]], loose[bad[first]]
@@ -178,12 +174,11 @@ def _moves(fit, bad, loose, surface, rng):
     anew = loose & (rng.random(len(movers)) < ANEW)
     kind[movers[anew]] = 0
     free = ~rim[movers] & ((kind[movers] < 2) | loose)
-    free[free] = independent(topo.edges, count, movers[free], rng.permutation(int(free.sum())))
+    free[free] = independent(topo, movers[free], rng.permutation(int(free.sum())))
     movers, goals, anew = movers[free], goals[free], anew[free]
     stars = Stars(vertices, faces, movers)
     start = np.where(anew[:, None], stars.middles(vertices), vertices[movers])
-    step = rng.normal(size=(len(movers), 3)) * (STEP * surface.length * rng.random(len(movers)))[:, None]
-    step -= dot(step, stars.normals)[:, None] * stars.normals
+    step = stars.random_steps(STEP * surface.length, rng)
     aimed = np.isfinite(goals[:, 0]) & (rng.random(len(movers)) < AIMED)
     share = rng.uniform(0.5, 1.5, (len(movers), 1))
     step[aimed] = (share * (goals - start))[aimed]
@@ -198,22 +193,18 @@ def _moves(fit, bad, loose, surface, rng):
 def _flips(fit, bad, loose, rng):
     """Random flips of edges of bad faces; a patch is the pair of faces at the edge, no two pairs touch."""
     vertices, faces = fit.vertices, fit.faces
-    count = len(vertices)
-    topo = topology(faces, count)
+    topo = topology(faces, len(vertices))
     edges = np.unique(topo.face_edges[bad, rng.integers(3, size=len(bad))])
     free = ~all_of(fit.kind > 0, topo.edges) | mark(len(topo.edges), topo.face_edges[loose])
     edges = edges[free[edges] & ~topo.boundary[edges]]
-    rows, corner = topo.corners[edges] // 3, topo.corners[edges, 0] % 3
-    p, q = faces.ravel()[topo.corners[edges].T]
-    a, b = faces[rows[:, 0], (corner + 1) % 3], faces[rows[:, 0], (corner + 2) % 3]
-    valence = np.bincount(topo.edges.ravel(), minlength=count)
-    rim = mark(count, topo.edges[topo.boundary].ravel())  # p and q may be joined outside this part
-    good = (valence[a] > 3) & (valence[b] > 3) & ~(rim[p] & rim[q]) & ~has_edge(topo, count, p, q)
-    quads, rows = np.stack([a, b, p, q], 1)[good], rows[good]
-    chosen = disjoint(quads, count, rng.random(len(quads)))
-    quads, rows = quads[chosen], rows[chosen]
-    turned = np.concatenate([quads[:, [2, 0, 3]], quads[:, [3, 1, 2]]])
-    return Change(vertices, rows.T.ravel(), turned, np.tile(np.arange(len(quads)), 2), len(quads))
+    quads, rows = edge_quads(topo, faces, edges)
+    (a, b, p, q), valence = quads.T, topo.valence
+    rim = topo.rim  # p and q may be joined outside this part
+    good = (valence[a] > 3) & (valence[b] > 3) & ~(rim[p] & rim[q]) & ~has_edge(topo, p, q)
+    quads, rows = quads[good], rows[good]
+    chosen = disjoint(quads, topo.count, rng.random(len(quads)))
+    owners = np.tile(np.arange(len(chosen)), 2)
+    return Change(vertices, rows[chosen].T.ravel(), flipped(quads[chosen]), owners, len(chosen))
 
 
 def _sound(fit, change, length):

@@ -5,9 +5,10 @@ from helpers.surfaces import random_sphere
 from hypothesis import given
 from hypothesis import strategies as st
 
+from flx.geometry.arrays import mark
 from flx.geometry.remesh.operators import disjoint
 from flx.geometry.remesh.stars import independent
-from flx.geometry.topology import all_of, mark, topology
+from flx.geometry.topology import all_of, topology
 
 seeds = st.integers(0, 10**6)
 
@@ -19,9 +20,10 @@ def test_groups_taken_together_touch_nowhere_and_the_first_is_among_them(seed):
     priority = rng.random(len(faces))
     won = disjoint(faces, 40, priority)
     assert len(np.unique(faces[won])) == 3 * len(won) and priority.argmin() in won
-    edges, asked = topology(faces, 40).edges, rng.permutation(40)[:25]
+    topo, asked = topology(faces, 40), rng.permutation(40)[:25]
     rank = rng.permutation(25)
-    among = mark(40, asked[independent(edges, 40, asked, rank)])
+    among = mark(40, asked[independent(topo, asked, rank)])
+    edges = topo.edges
     assert not all_of(among, edges).any() and among[asked[rank.argmin()]]
     lower = np.full(40, 25)
     lower[asked] = rank
