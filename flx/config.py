@@ -191,6 +191,21 @@ class FLDMExperiment:
 Experiment = FLVAEExperiment | FLDMExperiment
 
 
+@dataclass(frozen=True)
+class Comparison:
+    """What `flx evaluate` measures."""
+
+    reconstruction: tuple[str, ...]  # textures to send: MESH, MESH:TEXTURE, or an image as a sheet
+    out: Path  # folder to write to
+    vertices: tuple[int, ...] = (30_000, 5_000)  # of the triangulations; one row each
+    methods: tuple[Compared, ...] = get_args(Compared)  # which methods to measure
+    images: Path | None = None  # folder of images to fit pca and frame_pca to; skipped without it
+    texture_size: int | None = None  # pixels on the longer side; the input's, at most 2048, unless given
+    weights: str | None = None  # an FL-VAE file; the released one unless given
+    seed: int = 0  # of the triangulations
+    atlases: bool = False  # also write each new row's texture
+
+
 def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
     """A mesh learnt at 5K vertices in about 11 minutes of two CPU cores; without a path, the embedded vase.
 

@@ -102,9 +102,8 @@ class VNLayer(nn.Module):
         return algebra.vn_nonlinearity(q, k)
 
 
-def unit_scale(key: Array, shape: tuple[int, ...]) -> Array:
+def unit_scale(_: Array, shape: tuple[int, ...]) -> Array:
     """Initialise to the complex number 1 in every channel, as (re, im) pairs [2, C]."""
-    del key
     return jnp.stack([jnp.ones(shape[1:]), jnp.zeros(shape[1:])])
 
 
