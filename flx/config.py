@@ -1,8 +1,7 @@
-"""What can be turned: frozen dataclasses with the paper's values as defaults.
+"""All settings: frozen dataclasses with the paper's values as defaults.
 
 An experiment file makes one `FLVAEExperiment` or `FLDMExperiment` and names it `config`; the launcher
-overrides single fields from the command line. A line there that differs from here says why. Numbers out of
-their range are refused when they are set, before anything is prepared.
+overrides single fields from the command line. A number out of its range is refused when it is set.
 """
 
 import contextlib
@@ -20,7 +19,7 @@ Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "fram
 
 
 def _check(part: str, values: object, **least: int | float) -> None:
-    """Raises ValueError for a word that is not one of its field's, and for a number below its least."""
+    """Raises ValueError for a word that its field does not know, and for a number below its least."""
     for name, kind in get_type_hints(type(values)).items():
         choices, value = get_args(kind), getattr(values, name)
         if get_origin(kind) is Literal and value not in choices:
@@ -77,8 +76,8 @@ class FLVAE:
 class FLDM:
     """The field-latent diffusion model (paper, section 4 and supplement B.2)."""
 
-    # "vectors" is the paper's network, "mixed" is ours for codes with invariant channels. Like the next two
-    # and `blocks`, None means: as the FL-VAE's codes and the number of vertices need it.
+    # "vectors" is the paper's network, "mixed" is ours for codes with invariant channels. None (also in the
+    # next two fields and in `blocks`) means: what the FL-VAE's codes and the number of vertices need.
     network: Literal["vectors", "mixed"] | None = None
     latents: int | None = None
     invariants: int | None = None
@@ -103,10 +102,10 @@ class FLDM:
     def code_channels(self) -> tuple[int, int]:
         """How many channels of a code are vectors, and how many invariants.
 
-        Raises ValueError where they are still open (see `flx.models.denoiser.depth.complete`).
+        Raises ValueError where they are not set yet (see `flx.models.denoiser.depth.complete`).
         """
         if self.latents is None:
-            raise ValueError("model.latents is open; complete the model for an FL-VAE first")
+            raise ValueError("model.latents is not set; complete the model for an FL-VAE first")
         return self.latents - (self.invariants or 0), self.invariants or 0
 
 
@@ -132,7 +131,7 @@ class Images:
 
     folder: str = ""
     prints: float = 0.2  # pages of flat shapes and letters made for each image of the folder
-    queries: int = 8  # points asked for each vertex
+    queries: int = 8  # points decoded for each vertex
     smallest: float = 1.2  # pixels in a mean vertex radius, least and most
     largest: float = 16.0
     seed: int = 0
@@ -209,9 +208,8 @@ class Comparison:
 def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
     """A mesh learnt at 5K vertices in about 11 minutes of two CPU cores; without a path, the embedded vase.
 
-    Velocities and Muon learn more than the paper's noise and Adam in so few steps (docs/paper.md). 48
-    channels where the paper has 96: what two cores can train in minutes. float32: bfloat16 is faster only on
-    CPUs with AMX.
+    Velocities and Muon learn more than the paper's noise and Adam in so few steps (docs/paper.md). The paper
+    has 96 channels; two cores train 48 in minutes. bfloat16 is faster than float32 only on CPUs with AMX.
     """
     return FLDMExperiment(
         name=name,
@@ -244,7 +242,7 @@ def read_config(path: Path) -> Experiment:
     spec.loader.exec_module(module)
     config = getattr(module, "config", None)
     if not isinstance(config, FLVAEExperiment | FLDMExperiment):
-        raise ValueError(f"{path} defines no experiment; let it set `config = FLDMExperiment(...)`")
+        raise ValueError(f"{path} defines no experiment; add `config = FLDMExperiment(...)` to it")
     return config
 
 
@@ -275,4 +273,4 @@ def from_json(kind: Any, value: Any, place: str) -> Any:
         return float(value)
     elif isinstance(kind, type) and type(value) is kind:
         return value
-    raise ValueError(f"{place} is {value!r}, not a {getattr(kind, '__name__', kind)}; mend or delete it")
+    raise ValueError(f"{place} is {value!r}, not a {getattr(kind, '__name__', kind)}; correct or delete it")

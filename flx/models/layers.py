@@ -46,12 +46,8 @@ class ComplexDense(nn.Module):
         return algebra.complex_linear(x, kernel, self.precision)
 
 
-class PairsDense(nn.Module):
+class PairsDense(ComplexDense):
     """`ComplexDense` on pairs [V, 2C], the real parts before the imaginary ones."""
-
-    features: int
-    precision: Precision = "float32"
-    kernel_init: nn.initializers.Initializer = complex_initializer
 
     @nn.compact
     def __call__(self, x: Float[Array, "*V C2"]) -> Float[Array, "*V D2"]:

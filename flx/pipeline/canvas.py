@@ -83,11 +83,7 @@ def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[in
 
 
 def paint(
-    asset: Asset,
-    copy: Copy,
-    codec: Codec,
-    latents: Complex64[Any, "V D"],
-    texture_size: int | None = None,
+    asset: Asset, copy: Copy, codec: Codec, latents: Complex64[Any, "V D"], texture_size: int | None = None
 ) -> Painting:
     """New textures on the asset's own UVs (or colours at its vertices), decoded from codes.
 

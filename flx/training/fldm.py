@@ -24,7 +24,7 @@ from flx.pipeline.generator import Generator, Home, learnt_generator, network_of
 from flx.training.log import say
 from flx.training.loop import LossFn, restore, train
 from flx.training.run import Run, open_run
-from flx.training.run_asset import keep, read_kept, read_source, source_of
+from flx.training.run_asset import keep, read_copy, read_source, source_of
 from flx.types import MeshTables
 
 
@@ -93,7 +93,7 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     """
     surface, codec = experiment.surface, load_codec(experiment.weights)
     experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
-    asset = read_kept(run, surface)
+    asset = read_copy(run, surface)
     whole, scaling, home = load_copies(run, asset, surface, codec)
     first = jax.tree.map(lambda a: a[0], whole)
     network = network_of(experiment.model)

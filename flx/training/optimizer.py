@@ -1,5 +1,6 @@
 """Adam or Muon along a warm-up and a cosine."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -36,9 +37,7 @@ def muon(rate: optax.Schedule) -> optax.GradientTransformation:
     `rate` is the spectral norm of such an update. Adam updates all other parameters, at a smaller rate.
     """
 
-    def dimensions(params: Any) -> Any:
-        return jax.tree.map_with_path(_kernel_dimensions, params)
-
+    dimensions = partial(jax.tree.map_with_path, _kernel_dimensions)
     slower = lambda step: ADAM_RATE * rate(step)  # noqa: E731
     return optax.contrib.muon(rate, adam_learning_rate=slower, muon_weight_dimension_numbers=dimensions)
 

@@ -1,9 +1,9 @@
 """Run folders: `runs/<config name>` holds all that one training made, and nothing of another.
 
 `config.json` records every field of the experiment and the fingerprint of its asset. A folder is reopened
-only by the same experiment on the same asset; any other is refused. Three fields may change
-between calls (`STEERING`). Of these, `train.steps` is the length of the cosine schedule too: a resumed run
-takes its remaining steps at the learning rates of the new length.
+only by the same experiment on the same asset; any other is refused. Three fields may change between calls
+(`STEERING`). Of these, `train.steps` is also the length of the cosine schedule: a resumed run takes its
+remaining steps at the learning rates of the new length.
 Files appear whole or not at all, so that a kill at any moment leaves a folder that the next call can use.
 """
 
@@ -109,7 +109,7 @@ def only_trainer(run: Run) -> Iterator[None]:
 def _refuse_another(run: Run, old: dict[str, Any], new: dict[str, Any]) -> None:
     """Raise ValueError where the recorded run is another one than the new record describes."""
     changed = [d for d in _differences(old["config"], new["config"]) if d[0] != "name"]
-    if "flx" not in old:  # it did not record what was left open
+    if "flx" not in old:  # an earlier version, which did not record what was left open
         changed = [d for d in changed if not (d[0] in OPEN and d[1] is None)]
     faults = [f"{place} = {was}, not {now}" for place, was, now in changed if place not in STEERING]
     if old["kind"] != new["kind"]:
@@ -153,5 +153,5 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _visible(folder: Path) -> list[str]:
-    """Names in a folder; hidden ones are locks and what a kill left of a file."""
+    """Names in a folder, without the hidden ones: locks, and files that a kill cut short."""
     return sorted(p.name for p in folder.glob("*") if not p.name.startswith(".")) if folder.exists() else []

@@ -31,10 +31,10 @@ def keep(asset: Asset, run: Run, surface: Surface) -> Asset:
         if texture is not None:
             write_atomically(texture, read_file(Path(surface.texture or "")))
         _copy(asset, path, given=texture is not None)  # last: where it is, all is
-    return read_kept(run, surface)
+    return read_copy(run, surface)
 
 
-def read_kept(run: Run, surface: Surface) -> Asset:
+def read_copy(run: Run, surface: Surface) -> Asset:
     """The run's own copy of its asset."""
     return read_asset(*_places(run, surface))
 

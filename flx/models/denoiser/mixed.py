@@ -88,8 +88,7 @@ def _complex(pairs: Float[Array, "V C2"]) -> Complex[Array, "V C"]:
 def _between(step: Callable[[Pooling, Array], Array], pooling: Pooling, fields: Fields) -> Fields:
     """`pool` or `unpool` of both kinds; invariants are not transported."""
     still = pooling._replace(
-        transports=jnp.ones_like(pooling.transports),
-        child_transports=jnp.ones_like(pooling.child_transports),
+        transports=jnp.ones_like(pooling.transports), child_transports=jnp.ones_like(pooling.child_transports)
     )
     x, t = step(pooling, _complex(fields[0])), step(still, _complex(fields[1]))
     return algebra.real_pairs(x), algebra.real_pairs(t)

@@ -47,10 +47,7 @@ class FCResNetBlock(nn.Module):
 
     @nn.compact
     def __call__(
-        self,
-        x: Complex[Array, "V C"],
-        rings: OneRings,
-        embedding: Float[Array, "V E"] | Float[Array, "E"],
+        self, x: Complex[Array, "V C"], rings: OneRings, embedding: Float[Array, "V E"] | Float[Array, "E"]
     ) -> tuple[Complex[Array, "V C"], None]:
         channels, y = x.shape[-1], x
         for seen in (None, embedding):
