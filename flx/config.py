@@ -1,8 +1,7 @@
-"""What can be turned: frozen dataclasses with the paper's values as defaults.
+"""All settings: frozen dataclasses with the paper's values as defaults.
 
 An experiment file makes one `FLVAEExperiment` or `FLDMExperiment` and names it `config`; the launcher
-overrides single fields from the command line. A line there that differs from here says why. Numbers out of
-their range are refused when they are set, before anything is prepared.
+overrides single fields from the command line. A number out of its range is refused when it is set.
 """
 
 import contextlib
@@ -20,7 +19,7 @@ Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "fram
 
 
 def _check(part: str, values: object, **least: int | float) -> None:
-    """Raises ValueError for a word that is not one of its field's, and for a number below its least."""
+    """Raises ValueError for a word that its field does not know, and for a number below its least."""
     for name, kind in get_type_hints(type(values)).items():
         choices, value = get_args(kind), getattr(values, name)
         if get_origin(kind) is Literal and value not in choices:
@@ -77,8 +76,8 @@ class FLVAE:
 class FLDM:
     """The field-latent diffusion model (paper, section 4 and supplement B.2)."""
 
-    # "vectors" is the paper's network, "mixed" is ours for codes with invariant channels. Like the next two
-    # and `blocks`, None means: as the FL-VAE's codes and the number of vertices need it.
+    # "vectors" is the paper's network, "mixed" is ours for codes with invariant channels. None (also in the
+    # next two fields and in `blocks`) means: what the FL-VAE's codes and the number of vertices need.
     network: Literal["vectors", "mixed"] | None = None
     latents: int | None = None
     invariants: int | None = None
@@ -103,10 +102,10 @@ class FLDM:
     def code_channels(self) -> tuple[int, int]:
         """How many channels of a code are vectors, and how many invariants.
 
-        Raises ValueError where they are still open (see `flx.models.denoiser.depth.complete`).
+        Raises ValueError where they are not set yet (see `flx.models.denoiser.depth.complete`).
         """
         if self.latents is None:
-            raise ValueError("model.latents is open; complete the model for an FL-VAE first")
+            raise ValueError("model.latents is not set; complete the model for an FL-VAE first")
         return self.latents - (self.invariants or 0), self.invariants or 0
 
 
@@ -132,7 +131,7 @@ class Images:
 
     folder: str = ""
     prints: float = 0.2  # pages of flat shapes and letters made for each image of the folder
-    queries: int = 8  # points asked for each vertex
+    queries: int = 8  # points decoded for each vertex
     smallest: float = 1.2  # pixels in a mean vertex radius, least and most
     largest: float = 16.0
     seed: int = 0
@@ -191,6 +190,21 @@ class FLDMExperiment:
 Experiment = FLVAEExperiment | FLDMExperiment
 
 
+@dataclass(frozen=True)
+class Comparison:
+    """What `flx evaluate` measures."""
+
+    reconstruction: tuple[str, ...]  # textures to send: MESH, MESH:TEXTURE, or an image as a sheet
+    out: Path  # folder to write to
+    vertices: tuple[int, ...] = (30_000, 5_000)  # of the triangulations; one row each
+    methods: tuple[Compared, ...] = get_args(Compared)  # which methods to measure
+    images: Path | None = None  # folder of images to fit pca and frame_pca to; skipped without it
+    texture_size: int | None = None  # pixels on the longer side; the input's, at most 2048, unless given
+    weights: str | None = None  # an FL-VAE file; the released one unless given
+    seed: int = 0  # of the triangulations
+    atlases: bool = False  # also write each new row's texture
+
+
 def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
     """The settings of the demo: a mesh learnt at 5,000 vertices in about 11 minutes on two CPU cores.
 
@@ -236,7 +250,7 @@ def read_config(path: Path) -> Experiment:
     spec.loader.exec_module(module)
     config = getattr(module, "config", None)
     if not isinstance(config, FLVAEExperiment | FLDMExperiment):
-        raise ValueError(f"{path} defines no experiment; let it set `config = FLDMExperiment(...)`")
+        raise ValueError(f"{path} defines no experiment; add `config = FLDMExperiment(...)` to it")
     return config
 
 
@@ -267,4 +281,4 @@ def from_json(kind: Any, value: Any, place: str) -> Any:
         return float(value)
     elif isinstance(kind, type) and type(value) is kind:
         return value
-    raise ValueError(f"{place} is {value!r}, not a {getattr(kind, '__name__', kind)}; mend or delete it")
+    raise ValueError(f"{place} is {value!r}, not a {getattr(kind, '__name__', kind)}; correct or delete it")

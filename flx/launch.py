@@ -29,20 +29,14 @@ from flx.commands.sample import Sample
 # JAX is imported inside the commands: `--help` and `doctor` stay quick, and the processes that build
 # copies of a mesh import this file too.
 
-COMMANDS = {
-    "doctor": Doctor,
-    "sample": Sample,
-    "reconstruct": Reconstruct,
-    "evaluate": Evaluate,
-    "bench": Bench,
-}
+COMMANDS = {kind.__name__.lower(): kind for kind in (Doctor, Sample, Reconstruct, Evaluate, Bench)}
 
 
 def parse(words: Sequence[str]) -> Callable[[], None]:
-    """The command that the words ask for, with its options, ready to be called.
+    """The command that the words name, with its options, ready to be called.
 
-    Raises ValueError where `flx train` is given neither a mesh nor a config, and SystemExit where an option
-    is wrong (the message names the nearest one) or help was asked for.
+    Raises ValueError where `flx train` gets neither a mesh nor a config, and SystemExit after help or for a
+    wrong option (the message names the nearest one).
     """
     app = SubcommandApp()
     app.command(name="train")(train.command(words[1:] if words[0] == "train" else ()))

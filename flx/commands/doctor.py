@@ -1,6 +1,6 @@
 """`flx doctor`: what is in a mesh file, what a planned run meets on it, and a verdict.
 
-A mesh that cannot be used never comes here: `read_asset` refuses it, and that line is the verdict.
+`read_asset` refuses a mesh that cannot be used; its message is then the verdict.
 """
 
 import json
@@ -53,6 +53,9 @@ class Doctor:
         print(json.dumps(record, indent=2) if self.json else describe(asset.report, findings))
 
 
+RingPixels = tuple[float, float, float] | None  # in a one-ring: 5th percentile, median and 95th by area
+
+
 class Findings(NamedTuple):
     """What is right or wrong with a mesh that can be used. Plain numbers and words, for JSON."""
 
@@ -60,14 +63,14 @@ class Findings(NamedTuple):
     mirrored_uv_faces: int  # seen from behind on their texture; both ways is common, and harmless
     covered_texels: float  # share of the textures that the surface shows
     overlapping_texels: float  # share of these that it shows more than once
-    ring_pixels: tuple[float, float, float] | None  # in a one-ring: 5th percentile, median and 95th by area
+    ring_pixels: RingPixels
     plan: Costs
     warnings: tuple[str, ...]
     verdict: str
 
 
 def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
-    """What reading the asset did not need to know, for a run of `experiment` on it."""
+    """What a run of `experiment` would meet on the asset, in addition to the repairs of reading it."""
     covered, overlapping = coverage(asset)
     flat = np.array([texture.flat for texture in asset.textures] or [True])[asset.mesh.face_textures]
     pixels = ring_pixels(asset, ~flat, experiment.surface.vertices)
@@ -86,11 +89,7 @@ def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
 
 
 def _warnings(
-    report: Report,
-    vertices: int,
-    pixels: tuple[float, float, float] | None,
-    overlapping: float,
-    inside_out: int,
+    report: Report, vertices: int, pixels: RingPixels, overlapping: float, inside_out: int
 ) -> tuple[str, ...]:
     few, many = RING_PIXELS
     warnings = []
@@ -179,12 +178,9 @@ def _describe_findings(findings: Findings) -> list[tuple[str, str]]:
     size = f"{plan.copies:,} copies, {plan.steps:,} steps of {plan.batch}, {plan.vertices:,} vertices"
     duration = f"{_time(plan.copy_seconds)} for the copies, {_time(plan.train_seconds)} to train"
     room = f"{plan.train_bytes / 1e9:,.1f} GB of memory, {plan.disk_bytes / 1e9:,.1f} GB on disk"
-    lines += [
-        ("planned run", size),
-        ("its time on two CPU cores, about", duration),
-        ("its size, about", room),
-    ]
-    return [*lines, *(("warning", text) for text in findings.warnings), ("verdict", findings.verdict)]
+    plans = [("planned run", size), ("its time on two CPU cores, about", duration), ("its size, about", room)]
+    warnings = [("warning", text) for text in findings.warnings]
+    return [*lines, *plans, *warnings, ("verdict", findings.verdict)]
 
 
 def _time(seconds: float) -> str:

@@ -62,7 +62,7 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
     copy = triangulate(asset, surface.vertices, surface.seed, codec.config.samples, surface.slots)
     asset = prepared_for(asset, options.format)
     canvas = open_canvas(asset, copy.triangulation, options.texture_size)
-    baked = bake(canvas, codec, codec.encode(copy.rings))
+    baked = bake(canvas, codec.decoder(codec.encode(copy.rings)))
     seconds = time.monotonic() - began
 
     metrics = {

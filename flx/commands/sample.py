@@ -35,7 +35,7 @@ class Sample:
 def sample(options: Sample) -> Path:
     """Write the variations, each file whole or not at all; return their folder.
 
-    Raises ValueError where there is no trained FLDM, or the output cannot be written as asked.
+    Raises ValueError where there is no trained FLDM, or the output cannot be written.
     """
     from flx.assets.preflight import check_output
     from flx.assets.unwrap import prepared_for

@@ -1,4 +1,4 @@
-"""`flx train`: prepare and train what a config describes, or learn a mesh with the settings of the demo."""
+"""`flx train`: prepare and train what a config describes, or learn a mesh with the demo's settings."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def learn(experiment: Experiment, root: Path = Path("runs")) -> "Run":
-    """Train what the experiment describes, from where it was left; return its run.
+    """Train what the experiment describes, resuming where it stopped; return its run.
 
     Args:
         experiment: An `FLDMExperiment` (one mesh) or an `FLVAEExperiment` (a folder of images).

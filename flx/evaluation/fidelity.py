@@ -1,4 +1,4 @@
-"""How near a texture comes to another: metrics in the atlas, over the texels that show the surface."""
+"""How close one texture is to another: metrics in the atlas, over the texels that show the surface."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +12,7 @@ from flx.evaluation.lpips import Judge
 from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
 from flx.geometry.color import resized
 
-WINDOW = 11  # pixels a side of the Gaussian windows of DSSIM; smaller pictures are continued to that
+WINDOW = 11  # side of DSSIM's Gaussian windows in pixels; smaller images are padded to it
 
 
 def fidelity(
@@ -21,10 +21,20 @@ def fidelity(
     judges: Sequence[Judge] = (),
     atlases: Sequence[Atlas | None] | None = None,
 ) -> dict[str, float]:
-    """PSNR, DSSIM and each judge's LPIPS of new textures against the asset's own.
+    """PSNR, DSSIM and LPIPS of new textures against the asset's own, over the texels that show the surface.
 
-    Over covered texels of all textures. Vertex-coloured assets have no atlas: only a PSNR, over the vertices.
-    `atlases`: the texels of each texture, where they are known already.
+    Args:
+        asset: The mesh file whose textures are the reference.
+        painting: New textures of it, [H, W, 3] each, from `flx.paint`; of another size, they are compared at
+            theirs. Or new colours at its vertices, [V, 3]: they get a PSNR only, over the vertices.
+        judges: Networks for LPIPS, from `flx.evaluation.lpips.installed_judges`.
+        atlases: The texels of each texture, if the caller has them already.
+
+    Raises ValueError where the asset and the painting do not have equally many textures.
+
+    Example:
+        painting = flx.paint(asset, copy, codec, codec.encode(copy.rings))
+        flx.fidelity(asset, painting)["psnr"]  # in dB
     """
     if not painting.images:
         used = np.unique(asset.corner_vertices)
@@ -52,8 +62,8 @@ def compare(
 ) -> dict[str, float]:
     """Mean squared error in [0, 1], DSSIM = (1 − SSIM)/2 and LPIPS over the covered texels.
 
-    SSIM as Wang et al.: Gaussian windows of σ = 1.5. Both pictures get the same gutters, so that a window
-    at the rim of a chart compares colours of the surface alone.
+    SSIM as Wang et al.: Gaussian windows of σ = 1.5. Both images get the same gutters, so that a window at
+    the rim of a chart compares colours of the surface alone.
     """
     own, new = fill_gutter(own, covered), fill_gutter(new, covered)
     missing = [(0, max(0, WINDOW - side)) for side in covered.shape]

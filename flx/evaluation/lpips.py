@@ -10,6 +10,7 @@ import importlib.util
 import io
 import pickle
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,8 +27,9 @@ SHIFT = np.array([-0.030, -0.088, -0.188], np.float32)  # mean RGB of images in 
 SCALE = np.array([0.458, 0.448, 0.450], np.float32)  # their standard deviation
 TILE = 512  # side of a tile in pixels, without margins; VGG16 needs 1.4 GB for 512, 2.6 GB for 1024
 MARGIN = 128  # pixels; a feature of the last depth sees 98 pixels to each side, and its cell extends by 17
-SMALLEST = 64  # pixels; smaller images are padded, because AlexNet's strides would leave nothing of them
-# The globals that a pickled NumPy array refers to, under the names of the time when these files were written.
+LAYOUT = ("NHWC", "HWIO", "NHWC")  # of the convolutions' inputs, kernels and outputs
+SMALLEST = 64  # pixels; smaller images are padded, because AlexNet's strides would shrink them to nothing
+# The globals that a pickled NumPy array refers to, under the names they had when these files were written.
 ARRAYS = {
     ("numpy.core.multiarray", "_reconstruct"): np._core.multiarray._reconstruct,  # type: ignore[attr-defined]
     ("numpy", "ndarray"): np.ndarray,
@@ -109,9 +111,8 @@ def tiles(height: int, width: int) -> Iterator[tuple[tuple[slice, slice], tuple[
     Interiors partition the image, and are at least `MARGIN` pixels away from borders of their tile that are
     not borders of the image. Tiles begin at multiples of the networks' strides.
     """
-    for rows in _spans(height):
-        for columns in _spans(width):
-            yield (rows[0], columns[0]), (rows[1], columns[1])
+    for rows, columns in product(_spans(height), _spans(width)):
+        yield (rows[0], columns[0]), (rows[1], columns[1])
 
 
 def _spans(size: int) -> Iterator[tuple[slice, slice]]:
@@ -140,9 +141,7 @@ def _distances(
             kernel, bias = next(convolutions)
             margin = (stage.padding, stage.padding)
             strides, padding = (stage.stride, stage.stride), (margin, margin)
-            x = lax.conv_general_dilated(
-                x, kernel, strides, padding, dimension_numbers=("NHWC", "HWIO", "NHWC")
-            )
+            x = lax.conv_general_dilated(x, kernel, strides, padding, dimension_numbers=LAYOUT)
             x = jax.nn.relu(x + bias)
             if stage.stride > 1:
                 beyond = [(0, 0), *padding, (0, 0)]

@@ -20,7 +20,7 @@ from flx.assets.arrays import sheet_asset
 from flx.assets.asset import Asset
 from flx.assets.read import read_asset
 from flx.assets.write import write_png
-from flx.config import Compared
+from flx.config import Compared, Comparison
 from flx.evaluation.baselines import (
     Method,
     Subject,
@@ -37,90 +37,78 @@ from flx.files import write_atomically
 from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.copies import sample_rings
 from flx.geometry.remesh.remesh import remesh
-from flx.pipeline.canvas import check_size, chunks, open_canvas, painted
+from flx.pipeline.canvas import bake, check_size, open_canvas
 from flx.pipeline.codec import BARYCENTRIC, load_codec
-from flx.pipeline.patches import SUFFIXES
+from flx.pipeline.patches import SUFFIXES, image_files
 
 METHODS = get_args(Compared)
-FITTED = ("pca", "frame_pca")  # to images
-SAMPLES = 64  # colours a one-ring
+FITTED = ("pca", "frame_pca")  # methods that are fitted to images
+SAMPLES = 64  # colours in a one-ring
 Row = dict[str, Any]
 
 
-def reconstruction_table(
-    meshes: Sequence[str],
-    vertices: Sequence[int],
-    methods: Sequence[str],
-    images: Path | None,
-    weights: str | None,
-    texture_size: int | None,
-    seed: int,
-    out: Path,
-    atlases: bool = False,
-) -> list[Row]:
+def reconstruction_table(options: Comparison) -> list[Row]:
     """Measure every method on every mesh at every number of vertices; write table.json and table.md.
 
-    Rows that `out` already has for the same contents are kept, and so are those of other meshes, methods or
-    numbers of vertices. The table is written after each new row. Returned are the rows that were asked for.
-    `seconds` are the method's own, from samples to texels, learning included where it learns a mesh.
-
-    A mesh whose file names no texture is given as MESH:TEXTURE; an image is laid on a flat sheet.
-    `atlases`: write the first new texture of each new row too.
+    Rows that `options.out` already has for the same contents are kept, and so are those of other meshes,
+    methods or numbers of vertices. The table is written after each new row. Returns the rows of `options`.
+    `seconds` are the method's own, from samples to texels, including the time it takes to learn a mesh.
 
     Raises ValueError where there is no mesh, a mesh cannot be read, or a method is unknown.
     """
-    if not meshes or not vertices:
+    out, methods = options.out, list(options.methods)
+    if not options.reconstruction or not options.vertices:
         raise ValueError("there is nothing to evaluate; name meshes after --reconstruction")
     if unknown := [name for name in methods if name not in METHODS]:
-        raise ValueError(f"there is no method {unknown[0]!r}; say some of {', '.join(METHODS)}")
-    check_size(texture_size)
+        raise ValueError(f"there is no method {unknown[0]!r}; choose from {', '.join(METHODS)}")
+    check_size(options.texture_size)
     judges = installed_judges()
     if not judges:
         print(f"flx: {HINT}", file=sys.stderr)
-    if images is None and any(name in FITTED for name in methods):
-        print("flx: pca and frame_pca are left out: they are fitted to --images FOLDER", file=sys.stderr)
+    if options.images is None and any(name in FITTED for name in methods):
+        print("flx: skipping pca and frame_pca; pass --images FOLDER to fit them", file=sys.stderr)
         methods = [name for name in methods if name not in FITTED]
-    assets = {mesh: _read_asset(mesh) for mesh in meshes}  # all are read before the work begins
-    made_of, makers = _contents(methods, images, weights), _Makers(images, weights)
+    assets = {mesh: _read_asset(mesh) for mesh in options.reconstruction}  # all, before the work begins
+    digests, method_named = _digests(methods, options), _methods(options)
     metrics = [judge.metric for judge in judges]
 
     def key(mesh: str, count: int, name: str) -> str:
-        parts = (assets[mesh].digest, count, name, made_of[name], texture_size, seed, metrics)
+        parts = (assets[mesh].digest, count, name, digests[name], options.texture_size, options.seed, metrics)
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
-    wanted = {cell: key(*cell) for cell in product(meshes, vertices, methods)}
+    keys = {cell: key(*cell) for cell in product(options.reconstruction, options.vertices, methods)}
     before = _read(out / "table.json")
-    found = {row["key"]: row for row in before}
-    others = [row for row in before if (row["mesh"], row["vertices"], row["method"]) not in wanted]
+    rows = {row["key"]: row for row in before}
+    others = [row for row in before if (row["mesh"], row["vertices"], row["method"]) not in keys]
 
-    def asked() -> list[Row]:
-        return [found[k] | {"mesh": cell[0]} for cell, k in wanted.items() if k in found]
+    def finished() -> list[Row]:
+        return [rows[k] | {"mesh": cell[0]} for cell, k in keys.items() if k in rows]
 
-    with tqdm(total=len(wanted), desc="rows", unit="row", dynamic_ncols=True) as bar:
-        bar.update(len(asked()))
-        for path, count in product(meshes, vertices):
-            missing = [name for name in methods if wanted[path, count, name] not in found]
+    with tqdm(total=len(keys), desc="rows", unit="row", dynamic_ncols=True) as bar:
+        bar.update(len(finished()))
+        for path, count in product(options.reconstruction, options.vertices):
+            missing = [name for name in methods if keys[path, count, name] not in rows]
             if not missing:
                 continue
             mesh = with_filled_gutters(assets[path].mesh)
-            triangulation = remesh(mesh.vertices, mesh.faces, count, seed)
-            rings = sample_rings(mesh, triangulation, SAMPLES, seed)
-            canvas = open_canvas(assets[path], triangulation, texture_size)
+            triangulation = remesh(mesh.vertices, mesh.faces, count, options.seed)
+            rings = sample_rings(mesh, triangulation, SAMPLES, options.seed)
+            canvas = open_canvas(assets[path], triangulation, options.texture_size)
             for name in missing:
-                method = makers[name]
+                method = method_named(name)
                 began = time.monotonic()
-                baked = painted(canvas, map(method(Subject(mesh, triangulation, rings)), chunks(canvas)))
+                baked = bake(canvas, method(Subject(mesh, triangulation, rings)))
                 seconds = round(time.monotonic() - began, 2)
                 measured = fidelity(canvas.asset, baked, judges, canvas.atlases)
-                new = wanted[path, count, name]
+                new = keys[path, count, name]
                 row = {"mesh": path, "method": name, "vertices": count, **measured}
-                found[new] = {**row, "seconds": seconds, "key": new}
-                if atlases and baked.images:
+                rows[new] = {**row, "seconds": seconds, "key": new}
+                if options.atlases and baked.images:
                     write_png(out / f"{Path(path).stem}-{count}-{name}-{new}.png", baked.images[0])
-                _write(out, [*asked(), *others])
+                _write(out, [*finished(), *others])
                 bar.update()
-    _write(out, [*asked(), *others])
-    return asked()
+    _write(out, [*finished(), *others])
+    return finished()
 
 
 def _read_asset(mesh: str) -> Asset:
@@ -130,38 +118,32 @@ def _read_asset(mesh: str) -> Asset:
     return sheet_asset(Path(mesh)) if Path(mesh).suffix.lower() in SUFFIXES else read_asset(Path(mesh))
 
 
-class _Makers(dict[str, Method]):
-    """Methods, each made when it is first asked for: fitting to images takes a while."""
-
-    def __init__(self, images: Path | None, weights: str | None) -> None:
-        opened = cache(lambda: open_images(images or Path()))
-        self.makers: dict[str, Callable[[], Method]] = {
-            "flvae": lambda: field_latents(load_codec(weights)),
-            "barycentric": lambda: field_latents(load_codec(BARYCENTRIC)),
-            "inf": lambda: intrinsic_field,
-            "vertex_colours": lambda: vertex_colours,
-            "pca": lambda: components(opened()),
-            "frame_pca": lambda: frame_components(opened()),
-        }
-
-    def __missing__(self, name: str) -> Method:
-        self[name] = self.makers[name]()
-        return self[name]
+def _methods(options: Comparison) -> Callable[[str], Method]:
+    """Methods by name, each made at its first use: fitting to images takes a while."""
+    images = cache(lambda: open_images(options.images or Path()))
+    makers: dict[str, Callable[[], Method]] = {
+        "flvae": lambda: field_latents(load_codec(options.weights)),
+        "barycentric": lambda: field_latents(load_codec(BARYCENTRIC)),
+        "inf": lambda: intrinsic_field,
+        "vertex_colours": lambda: vertex_colours,
+        "pca": lambda: components(images()),
+        "frame_pca": lambda: frame_components(images()),
+    }
+    return cache(lambda name: makers[name]())
 
 
-def _contents(methods: Iterable[str], images: Path | None, weights: str | None) -> dict[str, str]:
-    """What each method's answers hang on beside the mesh: the weights, or the images."""
-    contents = dict.fromkeys(methods, "")
-    if "flvae" in contents:
-        contents["flvae"] = load_codec(weights).digest()
-    if "barycentric" in contents:
-        contents["barycentric"] = load_codec(BARYCENTRIC).digest()
-    if images and any(name in FITTED for name in contents):
-        seen = hashlib.sha256()
-        for path in sorted(p for p in images.rglob("*") if p.suffix.lower() in SUFFIXES):
-            seen.update(path.read_bytes())
-        contents |= dict.fromkeys((name for name in FITTED if name in contents), seen.hexdigest())
-    return contents
+def _digests(methods: Iterable[str], options: Comparison) -> dict[str, str]:
+    """A digest of what each method depends on in addition to the mesh: the weights, or the images."""
+    digests = dict.fromkeys(methods, "")
+    for name, path in (("flvae", options.weights), ("barycentric", BARYCENTRIC)):
+        if name in digests:
+            digests[name] = load_codec(path).digest()
+    if options.images and any(name in FITTED for name in digests):
+        content = hashlib.sha256()
+        for path in image_files(options.images):
+            content.update(path.read_bytes())
+        digests |= {name: content.hexdigest() for name in FITTED if name in digests}
+    return digests
 
 
 # --- the table
@@ -174,9 +156,8 @@ def _read(path: Path) -> list[Row]:
         rows = json.loads(path.read_bytes())["rows"]
         return [row for row in rows if isinstance(row["key"], str)]
     except (ValueError, KeyError, TypeError):
-        raise ValueError(
-            f"{path} is not a table of flx evaluate; move it away, or take another --out"
-        ) from None
+        message = f"{path} is not a table of flx evaluate; move it away, or give another --out"
+        raise ValueError(message) from None
 
 
 def _write(out: Path, rows: list[Row]) -> None:
@@ -189,19 +170,16 @@ def means(rows: Sequence[Row]) -> list[Row]:
     groups: dict[tuple[str, int], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["method"], row["vertices"]), []).append(row)
-    return [
-        {"mesh": f"mean of {len(group)}", "method": method, "vertices": count, **_mean(group)}
-        for (method, count), group in groups.items()
-    ]
-
-
-def _mean(rows: Sequence[Row]) -> dict[str, float]:
-    shared = [n for n in rows[0] if isinstance(rows[0][n], float) and all(n in row for row in rows)]
-    return {name: sum(row[name] for row in rows) / len(rows) for name in shared}
+    result = []
+    for (method, count), group in groups.items():
+        shared = [n for n, v in group[0].items() if isinstance(v, float) and all(n in row for row in group)]
+        mean = {name: sum(row[name] for row in group) / len(group) for name in shared}
+        result.append({"mesh": f"mean of {len(group)}", "method": method, "vertices": count, **mean})
+    return result
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """The rows, then the means, as one Markdown table; what a row lacks is left blank."""
+    """The rows, then the means, as one Markdown table; what a row lacks stays blank."""
     every = [*rows, *means(rows)]
     columns = list(dict.fromkeys(name for row in every for name in row if name not in ("key", "seconds")))
     columns.append("seconds")

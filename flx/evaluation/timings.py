@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 
 from flx.assets.read import read_asset
 from flx.assets.vase import vase_asset
-from flx.config import FLDM, FLVAE, Blocks, Filter
+from flx.config import FLDM, FLVAE, Filter
 from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.geometry.atlas import atlas_texels
 from flx.geometry.remesh.remesh import remesh
@@ -26,30 +26,22 @@ from flx.geometry.tables import mesh_tables
 from flx.models.codec.vae import FieldLatentVAE
 from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.codec import initial_params, load_codec
-from flx.types import MeshTables, Queries, RingSamples, TexturedMesh, Triangulation
+from flx.types import MeshTables, Queries, RingSamples, Triangulation
 
 PAPER_BLOCKS = (2, 4, 4)
 VERTICES, TEXELS = 30_000, 1024**2  # encoded, decoded
-RINGS = 128  # that the transformer sees at once
+RINGS = 128  # one-rings in a batch of the transformer
 SIDE = 2048  # of the matrices whose product is the floor
+ATLAS = 4096  # texels a side
 
 
-def denoiser_rows(repeats: int = 5) -> list[dict[str, Any]]:
+def denoiser_rows() -> list[dict[str, Any]]:
     """One train step (loss, gradient, Adam) of the paper's network, batch 1, on a sphere of 2,562 vertices.
 
-    `temp_bytes`: what XLA allocates besides parameters, optimiser and tables.
+    `temp_bytes`: what XLA allocates in addition to parameters, optimiser and tables.
     """
-    tables = mesh_tables(_sphere(2562))
-    return [
-        _train_step(
-            f"train_step/{filter}/2562",
-            FLDM(latents=8, filter=cast(Filter, filter)),
-            PAPER_BLOCKS,
-            tables,
-            repeats,
-        )
-        for filter in ("harmonic", "mlp")
-    ]
+    tables = jax.tree.map(jnp.asarray, mesh_tables(_sphere(2562)))
+    return [_train_step(filter, tables) for filter in get_args(Filter)]
 
 
 def codec_rows(repeats: int = 3) -> list[dict[str, Any]]:
@@ -71,15 +63,8 @@ def codec_rows(repeats: int = 3) -> list[dict[str, Any]]:
         ("decode", lambda: codec.decode(points, z), TEXELS),
     ]
     for name, call, count in calls:
-        seconds = _median_seconds(call, repeats)
-        rows.append(
-            {
-                "name": f"{name}/{count}",
-                "seconds": seconds,
-                "per_second": round(count / seconds),
-                "peak_bytes": peak_bytes(),
-            }
-        )
+        row = _row(f"{name}/{count}", count, _median_seconds(call, repeats))
+        rows.append({**row, "peak_bytes": peak_bytes()})
     return [*rows, *_transformer(FLVAE(), repeats)]
 
 
@@ -103,15 +88,13 @@ def _transformer(config: FLVAE, repeats: int) -> list[dict[str, Any]]:
         compiled = jax.jit(function).lower(params, rings).compile()
         seconds = _median_seconds(lambda c=compiled: jax.block_until_ready(c(params, rings)), repeats)
         flops: Any = compiled.cost_analysis()
-        rows.append(
-            {
-                "name": f"transformer_{name}/{RINGS}",
-                "seconds": seconds,
-                "per_second": round(RINGS / seconds),
-                "gflops": 1e-9 * flops["flops"] / seconds,
-            }
-        )
+        row = _row(f"transformer_{name}/{RINGS}", RINGS, seconds)
+        rows.append({**row, "gflops": 1e-9 * flops["flops"] / seconds})
     return rows
+
+
+def _row(name: str, count: int, seconds: float) -> dict[str, Any]:
+    return {"name": name, "seconds": seconds, "per_second": round(count / seconds)}
 
 
 def _rings(count: int, samples: int) -> RingSamples:
@@ -122,13 +105,32 @@ def _rings(count: int, samples: int) -> RingSamples:
 
 
 def _median_seconds(call: Callable[[], Any], repeats: int) -> float:
-    """Of the calls after the first, which compiles and warms up."""
+    """The median over the calls after the first, which compiles and warms up."""
     return statistics.median([_timed(call)[0] for _ in range(repeats + 1)][1:])
 
 
 def mesh_rows(path: Path | None, texture: Path | None = None) -> list[dict[str, Any]]:
-    """The stages of the geometry on a mesh file, or on the vase."""
-    return geometry_rows((vase_asset() if path is None else read_asset(path, texture)).mesh)
+    """CPU seconds of each stage of the geometry on a mesh file, or on the vase.
+
+    `peak_bytes` is the most memory that the process has held by the end of the stage. A mesh without textures
+    has no atlas and no such row.
+    """
+    mesh = (vase_asset() if path is None else read_asset(path, texture)).mesh
+    rows = []
+
+    def timed(name: str, call: Callable[[], Any]) -> Any:
+        start = time.process_time()
+        result = call()
+        seconds = time.process_time() - start
+        rows.append({"name": name, "seconds": seconds, "peak_bytes": peak_bytes()})
+        return result
+
+    copy = timed(f"remesh/{VERTICES}", lambda: remesh(mesh.vertices, mesh.faces, VERTICES, seed=0))
+    timed(f"tables/{VERTICES}", lambda: mesh_tables(copy))
+    if mesh.textures:
+        timed(f"texels/{ATLAS}", lambda: atlas_texels(mesh, 0, ATLAS, ATLAS))
+    timed(f"render/{len(mesh.faces)} faces", lambda: render(mesh))
+    return rows
 
 
 def machine() -> dict[str, Any]:
@@ -151,16 +153,15 @@ def _processor() -> str:
     return named[0] if named else platform.processor()
 
 
-def _train_step(name: str, config: FLDM, blocks: Blocks, tables: MeshTables, repeats: int) -> dict[str, Any]:
-    tables = jax.tree.map(jnp.asarray, tables)
-    model, adam = Denoiser(config, blocks), optax.adam(1e-3)
+def _train_step(filter: Filter, tables: MeshTables) -> dict[str, Any]:
+    config = FLDM(latents=8, filter=filter)
+    model, adam = Denoiser(config, PAPER_BLOCKS), optax.adam(1e-3)
     z = tangent_noise(jax.random.key(0), (len(tables.fine.masses), sum(config.code_channels)))
     t = jnp.float32(500.0)
     params = jax.jit(model.init)(jax.random.key(1), tables, z, t)
 
     def loss(params: Any) -> jax.Array:
-        error = jnp.asarray(model.apply(params, tables, z, t)) - z
-        return jnp.mean(jnp.real(error) ** 2 + jnp.imag(error) ** 2)
+        return jnp.mean(squared_modulus(jnp.asarray(model.apply(params, tables, z, t)) - z))
 
     def step(params: Any, state: Any) -> tuple[Any, Any, jax.Array]:
         value, gradient = jax.value_and_grad(loss)(params)
@@ -169,10 +170,9 @@ def _train_step(name: str, config: FLDM, blocks: Blocks, tables: MeshTables, rep
 
     state = adam.init(params)
     compile_seconds, compiled = _timed(lambda: jax.jit(step).lower(params, state).compile())
-    seconds = [_timed(lambda: jax.block_until_ready(compiled(params, state)))[0] for _ in range(repeats + 1)]
     return {
-        "name": name,
-        "seconds": statistics.median(seconds[1:]),  # the first call warms up
+        "name": f"train_step/{filter}/{len(z)}",
+        "seconds": _median_seconds(lambda: jax.block_until_ready(compiled(params, state)), 5),
         "compile_seconds": compile_seconds,
         "temp_bytes": compiled.memory_analysis().temp_size_in_bytes,
         "parameters": sum(p.size for p in jax.tree.leaves(params)),
@@ -196,31 +196,6 @@ def _sphere(count: int) -> Triangulation:
     inward = np.einsum("fd,fd->f", np.cross(b - a, c - a), a) < 0
     faces[inward] = faces[inward][:, [0, 2, 1]]
     return Triangulation(vertices, faces)
-
-
-ATLAS = 4096  # texels a side
-
-
-def geometry_rows(mesh: TexturedMesh, vertices: int = 30_000) -> list[dict[str, Any]]:
-    """CPU seconds of each stage, and the most memory the process has held by its end.
-
-    A mesh without textures has no atlas and no such row.
-    """
-    rows = []
-
-    def timed(name: str, call: Callable[[], Any]) -> Any:
-        start = time.process_time()
-        result = call()
-        seconds = time.process_time() - start
-        rows.append({"name": name, "seconds": seconds, "peak_bytes": peak_bytes()})
-        return result
-
-    copy = timed(f"remesh/{vertices}", lambda: remesh(mesh.vertices, mesh.faces, vertices, seed=0))
-    timed(f"tables/{vertices}", lambda: mesh_tables(copy))
-    if mesh.textures:
-        timed(f"texels/{ATLAS}", lambda: atlas_texels(mesh, 0, ATLAS, ATLAS))
-    timed(f"render/{len(mesh.faces)} faces", lambda: render(mesh))
-    return rows
 
 
 def peak_bytes() -> int | None:

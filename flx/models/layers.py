@@ -46,12 +46,8 @@ class ComplexDense(nn.Module):
         return algebra.complex_linear(x, kernel, self.precision)
 
 
-class PairsDense(nn.Module):
+class PairsDense(ComplexDense):
     """`ComplexDense` on pairs [V, 2C], the real parts before the imaginary ones."""
-
-    features: int
-    precision: Precision = "float32"
-    kernel_init: nn.initializers.Initializer = complex_initializer
 
     @nn.compact
     def __call__(self, x: Float[Array, "*V C2"]) -> Float[Array, "*V D2"]:
@@ -102,9 +98,8 @@ class VNLayer(nn.Module):
         return algebra.vn_nonlinearity(q, k)
 
 
-def unit_scale(key: Array, shape: tuple[int, ...]) -> Array:
+def unit_scale(_: Array, shape: tuple[int, ...]) -> Array:
     """Initialise to the complex number 1 in every channel, as (re, im) pairs [2, C]."""
-    del key
     return jnp.stack([jnp.ones(shape[1:]), jnp.zeros(shape[1:])])
 
 

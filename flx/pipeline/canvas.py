@@ -1,6 +1,6 @@
 """From latents to an asset: colours decoded wherever the asset shows them, in files and in pictures."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -18,10 +18,9 @@ from flx.geometry.tangent import tangent_frames
 from flx.pipeline.codec import Codec
 from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
 
-LARGEST = 2048  # pixels on the longer side of an atlas, unless more are asked for
-SMALLEST = 16  # that may be asked for
-# Of an atlas, filled around charts: enough for its copies of 32 pixels and more.
-GUTTER = 1 / 32
+LARGEST = 2048  # most pixels on the longer side of an atlas whose size is not given
+SMALLEST = 16  # least pixels that may be given
+GUTTER = 1 / 32  # share of an atlas that is filled around charts: enough for mipmaps of 32 pixels and more
 CHUNK = 1 << 18  # texels decoded at a time
 VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
 
@@ -29,7 +28,7 @@ VIEWS = ((30.0, 20.0), (210.0, 20.0))  # azimuth, elevation in degrees
 class Canvas(NamedTuple):
     """Where an asset shows colours, and where that is on the triangulation that carries the latents.
 
-    16 bytes a texel: what the decoder asks for besides is made as it is decoded.
+    It takes 16 bytes a texel; the decoder's other inputs are made chunk by chunk.
     """
 
     asset: Asset
@@ -69,31 +68,22 @@ def _shown_points(asset: Asset, atlases: Sequence[Atlas | None]) -> Iterator[Sur
 
 
 def check_size(texture_size: int | None) -> None:
-    """Raises ValueError for an atlas of fewer pixels than its metrics look at, or more than one may have."""
+    """Raises ValueError for fewer pixels than the metrics need, or more than an image may have."""
     longest = int(limit("FLX_MAX_PIXELS") ** 0.5)
     if texture_size is not None and not SMALLEST <= texture_size <= longest:
         raise ValueError(f"--texture-size is {texture_size}; give {SMALLEST} to {longest} pixels")
 
 
 def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[int, int]:
-    """Height and width of a new atlas: the input's shape, its longer side as asked."""
+    """Height and width of a new atlas: the input's proportions, `texture_size` on the longer side."""
     longer = max(image.shape[:2])
     wanted = texture_size or min(longer, LARGEST)
     height, width = (max(1, round(side * wanted / longer)) for side in image.shape[:2])
     return height, width
 
 
-def bake(canvas: Canvas, codec: Codec, z: Complex64[Any, "V D"]) -> Painting:
-    """Decode the latents at every texel, or at every vertex."""
-    return painted(canvas, map(codec.decoder(z), chunks(canvas)))
-
-
 def paint(
-    asset: Asset,
-    copy: Copy,
-    codec: Codec,
-    latents: Complex64[Any, "V D"],
-    texture_size: int | None = None,
+    asset: Asset, copy: Copy, codec: Codec, latents: Complex64[Any, "V D"], texture_size: int | None = None
 ) -> Painting:
     """New textures on the asset's own UVs (or colours at its vertices), decoded from codes.
 
@@ -101,8 +91,8 @@ def paint(
         asset: The mesh file to paint; it is not changed.
         copy: The triangulation that carries the codes, from `flx.triangulate` or `generator.home`.
         codec: The FL-VAE.
-        latents: A code at each vertex of the copy, [V, D] complex64: `codec.encode(copy.rings)` for what is
-            there, `generator.sample(key)` for something new.
+        latents: A code at each vertex of the copy, [V, D] complex64: `codec.encode(copy.rings)` for the
+            asset's own texture, `generator.sample(key)` for a new one.
         texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
 
     Raises ValueError for a size that is too small or too large, and where a vertex has no code.
@@ -117,12 +107,12 @@ def paint(
             f"latents have shape {list(np.shape(latents))}; give [{vertices}, {codec.config.latents}]: "
             "a code for each vertex of the copy"
         )
-    return bake(open_canvas(asset, copy.triangulation, texture_size), codec, latents)
+    return bake(open_canvas(asset, copy.triangulation, texture_size), codec.decoder(latents))
 
 
-def painted(canvas: Canvas, colors: Iterator[Float32[Any, "N 3"]]) -> Painting:
-    """Colours of the canvas' `chunks` as images with filled gutters, or as colours of vertices."""
-    asset = canvas.asset
+def bake(canvas: Canvas, painter: Callable[[Queries], Float32[Any, "N 3"]]) -> Painting:
+    """The colours that `painter` gives `chunks`: images with filled gutters, or colours at vertices."""
+    asset, colors = canvas.asset, map(painter, chunks(canvas))
     if not canvas.atlases:
         whole = own_painting(asset).colors
         whole[_vertex_points(asset)[0]] = np.concatenate(list(colors))
@@ -152,7 +142,7 @@ def chunks(canvas: Canvas) -> Iterator[Queries]:
 
 
 def shown(asset: Asset, painting: Painting) -> TexturedMesh:
-    """The asset's surface with its new maps, to be rendered."""
+    """The asset's surface with new maps, for rendering."""
     mesh = asset.mesh
     for slot, images in painting.maps.items():
         mesh = mesh.with_layer(slot, images=tuple(images))
@@ -171,8 +161,8 @@ def show(asset: Asset, *paintings: Painting, up: Literal["y", "z"] = "y", size: 
     Example:
         flx.show(asset, *flx.generate(generator, count=3))
     """
-    names = [f"{n}" for n in range(len(paintings))]
-    return Image.fromarray(side_by_side(asset, paintings, names, up, size))
+    captions = [str(n) for n in range(len(paintings))]
+    return Image.fromarray(side_by_side(asset, paintings, captions, up, size))
 
 
 def side_by_side(

@@ -23,10 +23,8 @@ from flx.types import Queries, RingSamples
 
 WEIGHTS = Path(__file__).parent.parent / "weights"
 RELEASED = WEIGHTS / "flvae.safetensors"
-BARYCENTRIC = WEIGHTS / "barycentric.safetensors"  # to compare with: its decoder knows no place in a face
-RINGS = 4096  # one-rings encoded at once
-VERTICES = 65_536  # codes expanded at once
-POINTS = 32_768  # points decoded at once, three corners each
+BARYCENTRIC = WEIGHTS / "barycentric.safetensors"  # a baseline, whose decoder interpolates invariants
+RINGS, VERTICES, POINTS = 4096, 65_536, 32_768  # one-rings encoded, codes expanded, points decoded at once
 
 
 class Codec(NamedTuple):
@@ -50,7 +48,7 @@ class Codec(NamedTuple):
         return self.decoder(z)(queries)
 
     def decoder(self, z: Complex64[Any, "V D"]) -> Callable[[Queries], Float32[np.ndarray, "P 3"]]:
-        """`decode` for who asks many times: the work of the vertices is done once, here."""
+        """`decode` for repeated calls: the work per vertex is done once, here."""
         whole = _in_chunks(partial(_expand, self.config), self.params, z, VERTICES)
         fixed = (self.params, jax.tree.map(jnp.asarray, whole))
         return lambda queries: _in_chunks(partial(_blend, self.config), fixed, queries, POINTS)
@@ -75,18 +73,25 @@ def _blend(config: FLVAE, params_expanded: tuple[Any, Any], chunk: Queries) -> j
 
 
 def save_codec(path: Path, codec: Codec, card: dict[str, str]) -> None:
-    """Write weights, configuration and what is known of their making as one safetensors file."""
-    tensors = {
-        "/".join(name): np.asarray(value) for name, value in flatten_dict(codec.params["params"]).items()
-    }
-    metadata = {"flvae": json.dumps(asdict(codec.config)), **card}
-    write_atomically(path, save(tensors, metadata))
+    """Write weights, configuration and `card` (how they were made) as one safetensors file."""
+    tensors = {"/".join(name): np.asarray(a) for name, a in flatten_dict(codec.params["params"]).items()}
+    write_atomically(path, save(tensors, {"flvae": json.dumps(asdict(codec.config)), **card}))
 
 
 def load_codec(path: str | Path | None = None) -> Codec:
-    """Read weights: the released ones, or a file of `save_codec`. Nothing in the file is executed.
+    """A field-latent VAE: the released one, or one that you trained. Nothing in its file is executed.
+
+    Args:
+        path: The flvae.safetensors of a run; without it, the released weights.
+
+    The codec's `encode(rings)` gives a code at each vertex, [V, D] complex64, from the rings of a copy: logs
+    [V, S] complex64 and colours [V, S, 3]. The released codec has S = 64 and D = 8.
 
     Raises ValueError where the file is missing, damaged, or not an FL-VAE of this version.
+
+    Example:
+        codec = flx.load_codec()
+        latents = codec.encode(flx.triangulate(asset, vertices=5000).rings)  # [5000, 8]
     """
     path = Path(path) if path else RELEASED
     try:
@@ -99,14 +104,13 @@ def load_codec(path: str | Path | None = None) -> Codec:
             f"{path} holds no FL-VAE weights ({reason}); train some with `flx train experiments/flvae.py`, "
             "or leave --weights out for the released ones"
         ) from None
-    params = {"params": unflatten_dict(tensors)}
     expected: Any = jax.eval_shape(lambda: initial_params(config, 0))
     shapes: dict = jax.tree.map(np.shape, tensors)
     wanted: dict = jax.tree.map(lambda leaf: leaf.shape, flatten_dict(expected["params"]))
     if shapes != wanted:
         odd = "/".join(sorted(k for k in shapes | wanted if shapes.get(k) != wanted.get(k))[0])
         raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")
-    return Codec(config, jax.tree.map(jnp.asarray, params))
+    return Codec(config, {"params": unflatten_dict(jax.tree.map(jnp.asarray, tensors))})
 
 
 def initial_params(config: FLVAE, seed: int) -> Any:

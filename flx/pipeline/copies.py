@@ -32,8 +32,8 @@ def triangulate(
 
     Args:
         asset: A mesh file from `flx.load`, or another asset.
-        vertices: Exactly so many; details smaller than a one-ring are lost.
-        seed: Another triangulation for every seed. Same seed, same machine: same bits.
+        vertices: Their exact number; details smaller than a one-ring are lost.
+        seed: Every seed gives another triangulation. Same seed, same machine: same bits.
         samples: Colours in each one-ring; 64 for the released FL-VAE.
         slots: The most neighbours of a vertex, itself included.
 
@@ -90,12 +90,10 @@ def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Ca
 
 def prepare(cache: Cache, asset: Asset, surface: Surface, codec: Codec) -> None:
     """Make the copies that the cache lacks, in a process pool; each is there whole or not at all."""
-    seeds = [surface.seed + k for k in range(surface.copies)]
-    missing = [seed for seed in seeds if not cache.has(seed)]
-    if not missing:
+    seeds = range(surface.seed, surface.seed + surface.copies)
+    if not (missing := [seed for seed in seeds if not cache.has(seed)]):
         return
-    mesh = with_filled_gutters(asset.mesh)
-    made = _copies(mesh, surface, codec.config.samples, missing)
+    made = _copies(with_filled_gutters(asset.mesh), surface, codec.config.samples, missing)
     for seed, copy in tqdm(made, total=len(missing), desc="copies", unit="copy", dynamic_ncols=True):
         cache.save(seed, Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings)))
 
@@ -105,12 +103,12 @@ def _copies(
 ) -> Iterator[tuple[int, copies.Copy]]:
     """Copies as they are ready. The pool spawns: forking a process that has started JAX can deadlock."""
     workers = min(MOST_WORKERS, os.cpu_count() or 1, len(seeds))
+    args = (surface.vertices, samples, surface.slots)
     if workers == 1:
         for seed in seeds:
-            yield seed, copies.make_copy(mesh, surface.vertices, samples, surface.slots, seed)
+            yield seed, copies.make_copy(mesh, *args, seed)
         return
     with ProcessPoolExecutor(workers, get_context("spawn"), copies.begin, (mesh,)) as pool:
-        args = (surface.vertices, samples, surface.slots)
         waiting = {pool.submit(copies.make_copy_here, *args, seed): seed for seed in seeds}
         try:
             for done in as_completed(waiting):
@@ -121,11 +119,8 @@ def _copies(
 
 def save_tables(path: str | os.PathLike, tables: MeshTables) -> None:
     """Write an npz whole or not at all: a reader never meets half a file."""
-    arrays = {
-        f"{level}.{name}": array
-        for level, parts in tables._asdict().items()
-        for name, array in parts._asdict().items()
-    }
+    levels = tables._asdict().items()
+    arrays = {f"{level}.{name}": a for level, part in levels for name, a in part._asdict().items()}
 
     def write(torn: Path) -> None:
         with open(torn, "wb") as file:  # to a path without .npz, NumPy would add it

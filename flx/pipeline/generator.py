@@ -1,8 +1,8 @@
-"""A trained model as one object: it makes new codes of a surface, and is kept as one file.
+"""A trained model as one object, stored in one file; it makes new codes of a surface.
 
-The file is a safetensors with nothing executable in it: averaged weights and true configuration of the
+The file is a safetensors with nothing executable in it: averaged weights and complete configuration of the
 network, latent scaling, the FL-VAE, the files of the asset that it learnt from, and one triangulated copy of
-it. Using it needs neither the optimiser nor the run folder nor the copies of the training.
+it. Using it needs neither the optimiser nor the run folder nor the other copies of the training.
 """
 
 import hashlib
@@ -54,17 +54,17 @@ class Source(NamedTuple):
     """The files of the asset that a generator learnt from."""
 
     mesh: str  # its name among `files`
-    texture: str | None  # the image that was given instead of the mesh's own
+    texture: str | None  # the image that replaces the mesh's own
     digest: str  # of the asset
-    files: dict[str, bytes]  # by their place under the asset's folder
+    files: dict[str, bytes]  # by their path in the asset's folder
 
 
 @dataclass(frozen=True)
 class Generator:
     """What makes new codes of a surface.
 
-    `denoise(params, tables, z, t) → ε̂` is the seam: a network in training's stead may be any function that
-    is hashable (it is compiled once) and finds the noise in z on the tables of a mesh copy.
+    `denoise(params, tables, z, t) → ε̂` finds the noise in z on the tables of a mesh copy. Any hashable
+    function may stand in for a trained network; it is compiled once.
     """
 
     denoise: Callable[[Any, MeshTables, jax.Array, jax.Array], jax.Array]
@@ -92,7 +92,7 @@ class Generator:
             copy: The triangulation to sample on, from `flx.triangulate`.
             steps: Evaluations of the network; "ancestral" takes all of the schedule instead.
             sampler: "ddim" (deterministic), "dpm" (second order) or "ancestral" (DDPM).
-            hook: Called after each step with (z, s, key); what it returns goes on. z is scaled (`scaling`).
+            hook: Called after each step with (z, s, key); its result replaces z. z is scaled (`scaling`).
 
         Raises ValueError for a sampler that is not known, and for more steps than the schedule has.
         """
@@ -106,9 +106,8 @@ class Generator:
     def asset(self) -> Asset:
         """The asset that it learnt from, read from its own files."""
         folder = tempfile.TemporaryDirectory(prefix="flx-")
-        self.__dict__["_folder"] = (
-            folder  # lives as long as the generator: an OBJ copies its maps when written
-        )
+        # The folder lives as long as the generator: an OBJ copies its maps when it is written.
+        self.__dict__["_folder"] = folder
         for name, content in self.source.files.items():
             write_atomically(inside(Path(folder.name), name), content)
         texture = self.source.texture and Path(folder.name, self.source.texture)
@@ -132,7 +131,7 @@ def generate(
         seed: Variation n depends on the seed and n alone.
         steps, sampler: See `Generator.sample`.
         texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
-        asset: The same asset with an atlas of its own, where it came without one.
+        asset: The same asset with an atlas of its own, if it came without one.
 
     Example:
         for n, painting in enumerate(flx.generate(generator, count=4)):
@@ -141,7 +140,7 @@ def generate(
     canvas = open_canvas(asset or generator.asset, generator.home.triangulation, texture_size)
     for n in range(count):
         key = jax.random.fold_in(jax.random.key(seed), n)
-        yield bake(canvas, generator.codec, generator.sample(key, None, steps, sampler))
+        yield bake(canvas, generator.codec.decoder(generator.sample(key, None, steps, sampler)))
 
 
 def sampler_named(name: str, alphas: Float64[np.ndarray, "T"], steps: int) -> samplers.Sampler:
@@ -200,12 +199,10 @@ def learnt_generator(
 
 def save_generator(path: Path, generator: Generator) -> None:
     """Write a learnt generator as one file, whole or not at all."""
-    surface = generator.experiment.surface
-    source = generator.source
-    # Names, not paths: the file may be passed on.
-    named = replace(
-        surface, path=Path(surface.path).name, texture=source.texture and Path(source.texture).name
-    )
+    surface, source = generator.experiment.surface, generator.source
+    # Names without folders: the file may be passed on.
+    texture = source.texture and Path(source.texture).name
+    named = replace(surface, path=Path(surface.path).name, texture=texture)
     record = {
         "flx": __version__,
         "step": generator.step,
@@ -213,17 +210,17 @@ def save_generator(path: Path, generator: Generator) -> None:
         "codec": asdict(generator.codec.config),
         "source": {"mesh": source.mesh, "texture": source.texture, "digest": source.digest},
     }
+    vertices, faces = generator.home.triangulation
     tensors = {
         **_flat("network", generator.params["params"]),
         **_flat("codec", generator.codec.params["params"]),
         "scaling": np.stack(generator.scaling).view(np.float32),
-        "home/vertices": np.asarray(generator.home.triangulation.vertices, np.float64),
-        "home/faces": np.asarray(generator.home.triangulation.faces, np.int32),
+        "home/vertices": np.asarray(vertices, np.float64),
+        "home/faces": np.asarray(faces, np.int32),
         **{f"asset/{name}": np.frombuffer(content, np.uint8) for name, content in source.files.items()},
     }
     text = json.dumps(record)
-    metadata = {"generator": text, "sha256": _digest(tensors, text)}
-    write_atomically(path, save(tensors, metadata))
+    write_atomically(path, save(tensors, {"generator": text, "sha256": _digest(tensors, text)}))
 
 
 def read_generator(path: Path) -> Generator:
@@ -233,8 +230,7 @@ def read_generator(path: Path) -> Generator:
     """
     try:
         with safe_open(path, "numpy") as file:
-            metadata = file.metadata() or {}
-            text = metadata["generator"]
+            text = (metadata := file.metadata() or {})["generator"]
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         if _digest(tensors, text) != metadata["sha256"]:
             raise ValueError("its content is not what was written")
@@ -274,12 +270,12 @@ def _flat(prefix: str, params: Any) -> dict[str, np.ndarray]:
 
 
 def _nested(prefix: str, tensors: dict[str, np.ndarray]) -> Any:
-    leaves = {n: jnp.asarray(t) for n, t in tensors.items() if n.startswith(f"{prefix}/")}
-    return {"params": unflatten_dict({tuple(n.split("/")[1:]): t for n, t in leaves.items()})}
+    names = {n: tuple(n.split("/")[1:]) for n in tensors if n.startswith(f"{prefix}/")}
+    return {"params": unflatten_dict({names[n]: jnp.asarray(tensors[n]) for n in names})}
 
 
 def _digest(tensors: dict[str, np.ndarray], text: str) -> str:
-    """SHA-256 of all that is in the file: a flipped bit is never loaded."""
+    """SHA-256 of the whole content: a flipped bit is never loaded."""
     digest = hashlib.sha256(text.encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tensor.shape}".encode())

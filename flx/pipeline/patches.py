@@ -42,23 +42,27 @@ def load_images(folder: Path) -> UInt8[Any, "N 512 512 3"]:
 
     Raises ValueError if there is none.
     """
-    paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
-    if not paths:
+    if not (paths := image_files(folder)):
         raise ValueError(
             f"{folder} holds no images ({' '.join(SUFFIXES)}); name a folder with --images.folder"
         )
-    return np.stack([centred_crop(Image.open(path)) for path in paths])
+    return np.stack([_centred_crop(Image.open(path)) for path in paths])
 
 
-def centred_crop(image: Image.Image, size: int = IMAGE_SIDE) -> UInt8[Any, "512 512 3"]:
+def image_files(folder: Path) -> list[Path]:
+    """The image files in a folder and its subfolders."""
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
+
+
+def _centred_crop(image: Image.Image) -> UInt8[Any, "512 512 3"]:
     """The central square of the image in RGB; an image that is too small is enlarged first."""
     image = image.convert("RGB")
-    scale = size / min(image.size)
+    scale = IMAGE_SIDE / min(image.size)
     if scale > 1:
-        width, height = (max(size, round(scale * n)) for n in image.size)
+        width, height = (max(IMAGE_SIDE, round(scale * n)) for n in image.size)
         image = image.resize((width, height), Image.Resampling.BICUBIC)
-    left, top = (image.width - size) // 2, (image.height - size) // 2
-    return np.asarray(image.crop((left, top, left + size, top + size)))
+    left, top = (image.width - IMAGE_SIDE) // 2, (image.height - IMAGE_SIDE) // 2
+    return np.asarray(image.crop((left, top, left + IMAGE_SIDE, top + IMAGE_SIDE)))
 
 
 # --- patches of planar meshes
@@ -208,8 +212,7 @@ def _recolored(
 
 def _like(x: Array, y: Array) -> Array:
     """One value (or colour) per patch, reshaped to broadcast against an array of its points."""
-    middle = (1,) * (y.ndim - x.ndim)
-    return x.reshape(x.shape[:1] + middle + x.shape[1:])
+    return x.reshape(x.shape[:1] + (1,) * (y.ndim - x.ndim) + x.shape[1:])
 
 
 def bilinear(
@@ -242,9 +245,9 @@ class ImagePatches:
     """Batches of patches on the images of a folder and on printed pages; batch `step` is always the same."""
 
     def __init__(self, config: Images, model: FLVAE, batch: int) -> None:
-        images: Any = load_images(Path(config.folder))
-        prints = printed_pages(round(config.prints * len(images)), IMAGE_SIDE, config.seed)
-        images = np.concatenate([images, prints]) if len(prints) else images
+        photos = load_images(Path(config.folder))
+        prints = printed_pages(round(config.prints * len(photos)), IMAGE_SIDE, config.seed)
+        images: Any = np.concatenate([photos, prints])
         self.digest = hashlib.sha256(images).hexdigest()
         self.config, self.batch = config, batch
         self.images = jnp.asarray(images)

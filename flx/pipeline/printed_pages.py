@@ -12,9 +12,12 @@ MARKS = 60  # shapes and words per page
 
 
 def printed_pages(count: int, side: int, seed: int) -> UInt8[Any, "N H W 3"]:
-    """Random pages of side² pixels; the same seed gives the same pages."""
-    pages = [_page(np.random.default_rng([seed, k]), side * SUPERSAMPLING) for k in range(count)]
-    return np.stack([np.asarray(page.resize((side, side), Image.Resampling.BOX)) for page in pages])
+    """Random pages of side² pixels, or none; the same seed gives the same pages."""
+    pages = np.zeros((count, side, side, 3), np.uint8)
+    for k in range(count):
+        page = _page(np.random.default_rng([seed, k]), side * SUPERSAMPLING)
+        pages[k] = np.asarray(page.resize((side, side), Image.Resampling.BOX))
+    return pages
 
 
 def _page(rng: np.random.Generator, side: int) -> Image.Image:

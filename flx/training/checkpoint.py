@@ -1,8 +1,8 @@
-"""Checkpoints of a training state, kept by Orbax: saved in the background, complete or absent.
+"""Checkpoints of a training state, written by Orbax in the background, complete or absent.
 
 A save is written under another name and renamed when whole, so a kill during it leaves the one before. The
-two newest are kept. States cross as NumPy arrays: what is on disk knows nothing of the device that made it, a
-state is restored to the host, and the buffers of a saved state may be donated to the next step at once.
+two newest stay. States are saved and restored as NumPy arrays: a checkpoint does not depend on the device
+that made it, and the buffers of a saved state may be donated to the next step at once.
 """
 
 from pathlib import Path
@@ -13,14 +13,14 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
-absl.logging.set_verbosity(absl.logging.WARNING)  # Orbax tells every save at INFO
+absl.logging.set_verbosity(absl.logging.WARNING)  # Orbax reports every save at INFO
 
 
 class Checkpoints:
     """The checkpoints in one folder. Use it as a context: leaving it finishes the last save.
 
-    The `writer` clears what a killed save left, so there may be one at a time (`runs.only_trainer`); a reader
-    changes nothing.
+    The `writer` clears what a killed save left, so only one may exist at a time (`run.only_trainer`); a
+    reader changes nothing.
     """
 
     def __init__(self, folder: Path, writer: bool = False):
@@ -58,23 +58,20 @@ class Checkpoints:
         try:
             state = self._manager.restore(step, args=ocp.args.StandardRestore(host))
         except (ValueError, KeyError, TypeError) as error:  # Orbax's message lists both trees
-            raise self._misfit(step, "its parameters are named otherwise") from error
+            raise self._misfit(step, "its parameters have other names") from error
         # Orbax takes the shape on disk where the template's differs.
-        for (path, found), wanted in zip(
-            jax.tree.leaves_with_path(state), jax.tree.leaves(host), strict=True
-        ):
-            if found.shape != wanted.shape:
+        for (path, leaf), wanted in zip(jax.tree.leaves_with_path(state), jax.tree.leaves(host), strict=True):
+            if leaf.shape != wanted.shape:
                 place = jax.tree_util.keystr(path)
-                told = f"{place} has shape {found.shape}, not {wanted.shape}"
-                raise self._misfit(step, told)
+                raise self._misfit(step, f"{place} has shape {leaf.shape}, not {wanted.shape}")
         return step, state
 
     def wait(self) -> None:
         """Block until the last save is on disk."""
         self._manager.wait_until_finished()
 
-    def _misfit(self, step: int, told: str) -> ValueError:
+    def _misfit(self, step: int, fault: str) -> ValueError:
         return ValueError(
-            f"{self.folder / str(step)} does not fit this network ({told}); use the version of flx that made "
-            "it, or train under another --name"
+            f"{self.folder / str(step)} does not fit this network ({fault}); use the version of flx that "
+            "made it, or train under another --name"
         )

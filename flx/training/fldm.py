@@ -1,7 +1,6 @@
 """Train a field-latent diffusion model on the triangulated copies of one mesh."""
 
 import hashlib
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from tqdm import tqdm
 
-from flx.config import FLDM, FLDMExperiment
+from flx.assets.asset import Asset
+from flx.config import FLDM, FLDMExperiment, Surface
 from flx.fields import diffusion
 from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.fields.diffusion import Scaling, latent_scaling
@@ -20,17 +19,12 @@ from flx.geometry.tables import stack
 from flx.models.denoiser.depth import complete, reach
 from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.pipeline.codec import Codec, load_codec
-from flx.pipeline.copies import Cache, open_cache, prepare
-from flx.pipeline.generator import (
-    Generator,
-    Home,
-    learnt_generator,
-    network_of,
-    save_generator,
-)
-from flx.training.loop import LossFn, TrainState, restore, train
+from flx.pipeline.copies import open_cache, prepare
+from flx.pipeline.generator import Generator, Home, learnt_generator, network_of, save_generator
+from flx.training.log import say
+from flx.training.loop import LossFn, restore, train
 from flx.training.run import Run, open_run
-from flx.training.run_asset import keep, read_kept, read_source, source_of
+from flx.training.run_asset import keep, read_copy, read_source, source_of
 from flx.types import MeshTables
 
 
@@ -55,15 +49,10 @@ def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
     fingerprint = hashlib.sha256((asset.digest + codec.digest()).encode()).hexdigest()
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
-    cache = open_cache(run.prepared, asset, surface, codec)
-    prepare(cache, asset, surface, codec)
-    whole, scaling = load_copies(cache, experiment, codec)
-    home = home_of(cache, experiment)
+    whole, scaling, home = load_copies(run, asset, surface, codec)
     source = source_of(run, surface, asset)
     seen = reach(home.tables, network.blocks)
-    tqdm.write(
-        f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices", file=sys.stderr
-    )
+    say(f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices")
 
     def batches(step: int) -> MeshBatch:
         rng = np.random.default_rng([config.seed, step])
@@ -77,48 +66,39 @@ def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
     first = jax.tree.map(lambda a: a[0], whole)
     params = jax.jit(network.init)(jax.random.key(config.seed), first.tables, first.latents, jnp.float32(1))
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
-    if not run.generator.exists():  # it was trained before there were such files
+    if not run.generator.exists():  # an earlier version trained it
         save(int(state.step), state.ema)
     return run
 
 
-def load_copies(cache: Cache, experiment: FLDMExperiment, codec: Codec) -> tuple[MeshBatch, Scaling]:
-    """All prepared copies in the order of their seeds, and the scaling of their latents."""
-    copies = [cache.load(seed) for seed in seeds_of(experiment)]
+def load_copies(run: Run, asset: Asset, surface: Surface, codec: Codec) -> tuple[MeshBatch, Scaling, Home]:
+    """All copies of the asset, prepared if need be, and the scaling of their latents.
+
+    The first copy is also returned as it is: the generator samples on it.
+    """
+    cache = open_cache(run.prepared, asset, surface, codec)
+    prepare(cache, asset, surface, codec)
+    copies = [cache.load(surface.seed + k) for k in range(surface.copies)]
     latents = [copy.latents for copy in copies]
     scaling = latent_scaling(np.concatenate(latents), codec.config.invariants)
     scaled = np.stack([scaling.to_diffusion(z) for z in latents])
-    return MeshBatch(stack([copy.tables for copy in copies]), scaled), scaling
-
-
-def home_of(cache: Cache, experiment: FLDMExperiment) -> Home:
-    """The first copy, on which the generator samples."""
-    copy = cache.load(experiment.surface.seed)
-    return Home(copy.triangulation, copy.tables)
-
-
-def seeds_of(experiment: FLDMExperiment) -> range:
-    """Of the copies."""
-    return range(experiment.surface.seed, experiment.surface.seed + experiment.surface.copies)
+    home = Home(copies[0].triangulation, copies[0].tables)
+    return MeshBatch(stack([copy.tables for copy in copies]), scaled), scaling, home
 
 
 def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
-    """The generator of a run without such a file, as earlier versions left it: from its newest checkpoint.
+    """The generator of a run without a generator file (from an earlier version): from its newest checkpoint.
 
     Raises ValueError where the run has no checkpoint yet.
     """
     surface, codec = experiment.surface, load_codec(experiment.weights)
     experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
-    asset = read_kept(run, surface)
-    cache = open_cache(run.prepared, asset, surface, codec)
-    prepare(cache, asset, surface, codec)
-    latents = np.concatenate([cache.load(seed).latents for seed in seeds_of(experiment)])
-    scaling, home = latent_scaling(latents, codec.config.invariants), home_of(cache, experiment)
-    z = jnp.zeros((len(home.triangulation.vertices), codec.config.latents), jnp.complex64)
-    shapes = jax.eval_shape(
-        network_of(experiment.model).init, jax.random.key(0), home.tables, z, jnp.float32(1)
-    )
-    state: TrainState = restore(run, experiment.train, shapes)
+    asset = read_copy(run, surface)
+    whole, scaling, home = load_copies(run, asset, surface, codec)
+    first = jax.tree.map(lambda a: a[0], whole)
+    network = network_of(experiment.model)
+    shapes = jax.eval_shape(network.init, jax.random.key(0), first.tables, first.latents, jnp.float32(1))
+    state = restore(run, experiment.train, shapes)
     source = source_of(run, surface, asset)
     return learnt_generator(experiment, state.ema, scaling, codec, home, source, int(state.step))
 

@@ -16,14 +16,13 @@ from flx.training.run import Run, open_run
 
 def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     """Train a field-latent VAE on a folder of images; the run folder gets `flvae.safetensors`."""
-    patches = ImagePatches(experiment.images, experiment.model, experiment.train.batch)
+    config = experiment.train
+    patches = ImagePatches(experiment.images, experiment.model, config.batch)
     run = open_run(root, experiment, patches.digest)
-    state = train(
-        run, experiment.train, starting_params(experiment, patches), image_loss(experiment), patches
-    )
+    state = train(run, config, starting_params(experiment, patches), image_loss(experiment), patches)
     card = {
-        "steps": str(experiment.train.steps),
-        "rings": str(experiment.train.steps * experiment.train.batch * PATCH_VERTICES),
+        "steps": str(config.steps),
+        "rings": str(config.steps * config.batch * PATCH_VERTICES),
         "images": str(len(patches.images)),
         "kl_weight": str(experiment.kl_weight),
     }
@@ -32,7 +31,7 @@ def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
 
 
 def image_loss(experiment: FLVAEExperiment) -> LossFn:
-    """The loss on the colours at a batch's points: of the blend there, or of what each corner says alone."""
+    """The loss on the colours at a batch's points: of the blend there, or of each corner's prediction."""
     model = FieldLatentVAE(experiment.model)
 
     def loss(params: Any, batch: PatchBatch, key: Array) -> tuple[Array, dict[str, Array]]:

@@ -1,14 +1,10 @@
-"""What a training tells as it goes: metrics.csv, TensorBoard's events and the progress bar.
-
-The rows of metrics.csv part the steps: a row is the mean over the steps since the row before.
-"""
+"""What a training reports as it goes: metrics.csv, TensorBoard's events and the progress bar."""
 
 import csv
 import math
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import jax
 from jax import Array
@@ -20,28 +16,26 @@ from flx.files import write_atomically
 from flx.training.checkpoint import Checkpoints
 from flx.training.run import Run
 
-_SILENCE = 30.0  # most seconds without a word where there is no terminal for a progress bar
+_SILENCE = 30.0  # most seconds without a message where there is no terminal for a progress bar
 
 
 class Log:
-    """metrics.csv, TensorBoard's events and the progress bar; the watch on numbers that are not finite."""
+    """Writes the reports, and stops a training whose numbers are not finite.
+
+    A row of metrics.csv is the mean over the steps since the row before.
+    """
 
     def __init__(self, run: Run, config: Train, done: int, checkpoints: Checkpoints):
         self._run, self._config, self._first, self._checkpoints = run, config, done, checkpoints
         self._columns = _drop_rows_after(run.metrics, done)
-        self._rows: list[dict[str, float]] = []  # of the steps since the last row on disk
+        self._rows: list[dict[str, float]] = []  # the steps since the last row on disk
         self._step = done
         self._events = SummaryWriter(str(run.events), purge_step=done + 1)
-        terminal = sys.stderr.isatty()
-        self._bar = tqdm(
-            total=config.steps, initial=done, unit="step", dynamic_ncols=True, disable=not terminal
-        )
+        quiet = not sys.stderr.isatty()
+        self._bar = tqdm(total=config.steps, initial=done, unit="step", dynamic_ncols=True, disable=quiet)
         self._began = self._row_began = self._spoke = time.monotonic()
 
-    def __enter__(self) -> "Log":
-        return self
-
-    def __exit__(self, *_: Any) -> None:
+    def close(self) -> None:
         self._bar.close()
         self._events.close()
 
@@ -63,7 +57,7 @@ class Log:
             return
         now = time.monotonic()
         means = {name: sum(row[name] for row in self._rows) / len(self._rows) for name in self._rows[0]}
-        means["seconds"] = (now - self._row_began) / len(self._rows)  # a step, waiting for batches included
+        means["seconds"] = (now - self._row_began) / len(self._rows)  # per step, with the wait for batches
         for name, mean in means.items():
             self._events.add_scalar(name, mean, self._step)
         with open(self._run.metrics, "a", newline="") as file:
@@ -85,8 +79,8 @@ class Log:
             self._spoke = now
 
     def _not_finite(self, step: int, wrong: str) -> str:
-        kept = self._checkpoints.latest_step
-        saved = "there is no checkpoint yet" if kept is None else f"the last checkpoint is step {kept}"
+        latest = self._checkpoints.latest_step
+        saved = "there is no checkpoint yet" if latest is None else f"the last checkpoint is step {latest}"
         clip = "lower train.clip" if self._config.clip else "set train.clip to 1"
         return (
             f"{self._run.folder}: step {step} gave {wrong}; {saved}; lower train.learning_rate "
@@ -99,10 +93,10 @@ def _drop_rows_after(metrics: Path, done: int) -> list[str]:
     if not metrics.exists():
         return []
     lines = [line for line in metrics.read_text().splitlines(keepends=True) if line.endswith("\n")]
-    kept = lines[:1] + [line for line in lines[1:] if int(line.split(",")[0]) <= done]
-    write_atomically(metrics, "".join(kept).encode())
-    return kept[0].strip().split(",") if kept else []
+    valid = lines[:1] + [line for line in lines[1:] if int(line.split(",")[0]) <= done]
+    write_atomically(metrics, "".join(valid).encode())
+    return valid[0].strip().split(",") if valid else []
 
 
 def say(message: str) -> None:
-    tqdm.write(message, file=sys.stderr)  # beside a progress bar, not through it
+    tqdm.write(message, file=sys.stderr)  # above a progress bar, not through it

@@ -2,8 +2,8 @@
 
 Step n (from 0) sees `batches(n)` and the key `fold_in(seed, n)`, whatever happened before it: a run that was
 killed and called again takes the steps it would have taken. "Step" in metrics.csv, in messages and in the
-names of checkpoints is the number of steps done. The rows of metrics.csv part the steps: a row is the mean
-over the steps since the row before, and a checkpoint ends a row.
+names of checkpoints is the number of steps done. A row of metrics.csv is the mean over the steps since
+the row before; a checkpoint ends a row.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ Batches = Callable[[int], Any]  # step → arrays, always the same for a step
 
 
 class TrainState(NamedTuple):
-    """All that the next step hangs on. `Any` is a pytree of arrays."""
+    """All that the next step depends on. `Any` is a pytree of arrays."""
 
     step: Int32[Any, ""]  # steps done
     params: Any
@@ -78,7 +78,7 @@ def make_step(
         params = optax.apply_updates(state.params, updates)
         decay = jnp.minimum(config.ema, (1 + n) / (10 + n))
         ema = jax.tree.map(lambda average, p: average + (1 - decay) * (p - average), state.ema, params)
-        # The norm is there to be plotted, and because a finite loss may have a gradient that is not.
+        # The norm is plotted, and checked: a finite loss may have a gradient that is not finite.
         scalars = {"loss": loss, "gradient_norm": optax.global_norm(gradient)}
         scalars |= {"learning_rate": learning_rate(config, n), **metrics}
         return TrainState(n + 1, params, ema, moments, state.key), scalars
@@ -115,7 +115,7 @@ def train(
             began = time.monotonic()
             step = jax.jit(make_step(config, loss_fn), donate_argnums=0).lower(state, batch).compile()
             say(f"{run.folder}: compiled the train step in {time.monotonic() - began:.1f} s")
-            with Log(run, config, done, checkpoints) as log:
+            with contextlib.closing(Log(run, config, done, checkpoints)) as log:
                 under_way = None  # the scalars of the step that the device works on
                 while True:
                     state, scalars = step(state, batch)
@@ -155,7 +155,7 @@ def _prefetch(batches: Batches, first: int, last: int, depth: int = 2) -> Genera
 
 
 class _Stop:
-    """While open, the first SIGTERM or SIGINT is only noted in `signal`; a second one does its usual work."""
+    """While open, the first SIGTERM or SIGINT is only noted in `signal`; a second one acts as usual."""
 
     def __enter__(self) -> "_Stop":
         self.signal: int | None = None

@@ -1,5 +1,6 @@
 """Adam or Muon along a warm-up and a cosine."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,18 +11,14 @@ from jaxtyping import Float32, Int
 
 from flx.config import Train
 
-MATRICES = ("kernel", "output")  # names of parameters that Muon takes: of a layer, of a filter bank
-
-ADAM_BESIDE_MUON = 0.15  # of Muon's rate, for parameters that are no matrices
+MATRICES = ("kernel", "output")  # names of the parameters that Muon updates: of a layer, of a filter bank
+ADAM_RATE = 0.15  # share of Muon's learning rate at which Adam updates the other parameters
 
 
 def learning_rate(config: Train, step: Int[Any, ""] | int) -> Float32[Array, ""]:
     """Linear warm-up from 0 to `learning_rate`, then a cosine to `final_learning_rate` at the last step."""
-    peak, final, warmup = (
-        config.learning_rate,
-        config.final_learning_rate,
-        min(config.warmup, config.steps // 2),
-    )
+    peak, final = config.learning_rate, config.final_learning_rate
+    warmup = min(config.warmup, config.steps // 2)
     progress = jnp.clip((step - warmup) / max(config.steps - 1 - warmup, 1), 0, 1)
     cosine = final + (peak - final) * (1 + jnp.cos(jnp.pi * progress)) / 2
     warm = jnp.clip(step / max(warmup, 1), 0, 1) if warmup else 1.0
@@ -35,15 +32,13 @@ def make_optimizer(config: Train) -> optax.GradientTransformation:
 
 
 def muon(rate: optax.Schedule) -> optax.GradientTransformation:
-    """Muon (Jordan et al. 2024): updates of dense kernels made orthogonal: all directions learn alike.
+    """Muon (Jordan et al. 2024): dense kernels get orthogonal updates, so all directions learn alike.
 
-    `rate` is the spectral norm of such an update; what is no kernel is left to Adam, at a smaller rate.
+    `rate` is the spectral norm of such an update. Adam updates all other parameters, at a smaller rate.
     """
 
-    def dimensions(params: Any) -> Any:
-        return jax.tree.map_with_path(_kernel_dimensions, params)
-
-    slower = lambda step: ADAM_BESIDE_MUON * rate(step)  # noqa: E731
+    dimensions = partial(jax.tree.map_with_path, _kernel_dimensions)
+    slower = lambda step: ADAM_RATE * rate(step)  # noqa: E731
     return optax.contrib.muon(rate, adam_learning_rate=slower, muon_weight_dimension_numbers=dimensions)
 
 

@@ -1,9 +1,9 @@
 """Run folders: `runs/<config name>` holds all that one training made, and nothing of another.
 
 `config.json` records every field of the experiment and the fingerprint of its asset. A folder is reopened
-only by the same experiment on the same asset; else it is refused, never mixed. Three fields may change
-between calls (`STEERING`). Of these, `train.steps` is the length of the cosine schedule too: a resumed run
-takes its remaining steps at the learning rates of the new length.
+only by the same experiment on the same asset; any other is refused. Three fields may change between calls
+(`STEERING`). Of these, `train.steps` is also the length of the cosine schedule: a resumed run takes its
+remaining steps at the learning rates of the new length.
 Files appear whole or not at all, so that a kill at any moment leaves a folder that the next call can use.
 """
 
@@ -27,56 +27,30 @@ OPEN = ("model.latents", "model.invariants", "model.blocks")  # left open by rec
 _KINDS = {kind.__name__: kind for kind in (FLVAEExperiment, FLDMExperiment)}
 
 
-@dataclass(frozen=True)
+@dataclass
 class Run:
-    """Where the parts of a run lie."""
+    """The paths of a run's parts."""
 
     folder: Path
 
-    @property
-    def config(self) -> Path:
-        return self.folder / "config.json"
-
-    @property
-    def asset(self) -> Path:
-        """The folder of the copied asset."""
-        return self.folder / "asset"
-
-    @property
-    def prepared(self) -> Path:
-        return self.folder / "prepared"
-
-    @property
-    def checkpoints(self) -> Path:
-        return self.folder / "checkpoints"
-
-    @property
-    def generator(self) -> Path:
-        """The trained model as one file, of the newest checkpoint."""
-        return self.folder / "generator.safetensors"
-
-    @property
-    def metrics(self) -> Path:
-        return self.folder / "metrics.csv"
-
-    @property
-    def events(self) -> Path:
-        """The folder of TensorBoard's events."""
-        return self.folder / "events"
-
-    @property
-    def samples(self) -> Path:
-        return self.folder / "samples"
+    def __post_init__(self) -> None:
+        self.config = self.folder / "config.json"
+        self.asset = self.folder / "asset"  # a folder: the run's copy of its asset
+        self.prepared = self.folder / "prepared"
+        self.checkpoints = self.folder / "checkpoints"
+        self.generator = self.folder / "generator.safetensors"  # the trained model, at the newest checkpoint
+        self.metrics = self.folder / "metrics.csv"
+        self.events = self.folder / "events"  # a folder, for TensorBoard
 
 
 def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
     """Create the folder `root/<experiment.name>`, or reopen it for the same experiment and asset.
 
-    Raises ValueError where the name is no folder name, or the folder belongs to another experiment or asset.
+    Raises ValueError if the name is not a folder name, or the folder belongs to another experiment or asset.
     """
     name = experiment.name
     if Path(name).name != name or name in ("", ".."):
-        raise ValueError(f"{name!r} names no folder; give the run a name without slashes with --name")
+        raise ValueError(f"{name!r} is not a folder name; give the run a name without slashes with --name")
     run = Run(Path(root) / name)
     record = {
         "flx": __version__,
@@ -110,7 +84,7 @@ def load_config(folder: str | Path) -> Experiment:
 
 @contextlib.contextmanager
 def only_trainer(run: Run) -> Iterator[None]:
-    """Hold the run against a second trainer. The lock is the process's: it ends with it, however it ends.
+    """Lock the run against a second trainer. The lock ends with the process, however that ends.
 
     Raises ValueError where another process, or another part of this one, trains in this folder.
     """
@@ -133,26 +107,24 @@ def only_trainer(run: Run) -> Iterator[None]:
 
 
 def _refuse_another(run: Run, old: dict[str, Any], new: dict[str, Any]) -> None:
-    """Raise ValueError where a recorded run is not the one asked for."""
+    """Raise ValueError where the recorded run is another one than the new record describes."""
     changed = [d for d in _differences(old["config"], new["config"]) if d[0] != "name"]
-    if "flx" not in old:  # it did not record what was left open
+    if "flx" not in old:  # an earlier version, which did not record what was left open
         changed = [d for d in changed if not (d[0] in OPEN and d[1] is None)]
-    told = [f"{place} = {was}, not {now}" for place, was, now in changed if place not in STEERING]
+    faults = [f"{place} = {was}, not {now}" for place, was, now in changed if place not in STEERING]
     if old["kind"] != new["kind"]:
-        told = [f"an {old['kind']}, not an {new['kind']}"]
+        faults = [f"an {old['kind']}, not an {new['kind']}"]
     elif old["fingerprint"] != new["fingerprint"]:
-        told.append(f"another asset (fingerprint {old['fingerprint']}, not {new['fingerprint']})")
-    if told:
+        faults.append(f"another asset (fingerprint {old['fingerprint']}, not {new['fingerprint']})")
+    if faults:
         raise ValueError(
-            f"{run.folder} was made with {', '.join(told)}; give it another name with --name, "
+            f"{run.folder} was made with {', '.join(faults)}; give it another name with --name, "
             f"or delete {run.folder}"
         )
     for place, was, now in changed:
         if place == "train.steps":
-            print(
-                f"{run.folder}: train.steps {was} → {now}; its cosine schedule now has that length",
-                file=sys.stderr,
-            )
+            message = f"{run.folder}: train.steps {was} → {now}; its cosine schedule now has that length"
+            print(message, file=sys.stderr)
 
 
 def _differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -181,5 +153,5 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _visible(folder: Path) -> list[str]:
-    """Names in a folder; hidden ones are locks and what a kill left of a file."""
+    """Names in a folder, without the hidden ones: locks, and files that a kill cut short."""
     return sorted(p.name for p in folder.glob("*") if not p.name.startswith(".")) if folder.exists() else []

@@ -1,7 +1,7 @@
-"""The asset of a run: read from where the experiment says, and kept in the run folder, whole.
+"""The asset of a run: read from where the experiment says, and copied whole into the run folder.
 
-`asset/files/` holds the mesh with every file that it needs, `asset/texture/` the image that was given instead
-of its own. They are read as the originals were, and give the same bits. (Older runs have `asset/asset.glb`.)
+`asset/files/` holds the mesh with every file that it needs, `asset/texture/` the image that replaces its own.
+Reading them gives the same bits as the originals. (Older runs have `asset/asset.glb`.)
 """
 
 from pathlib import Path
@@ -27,23 +27,21 @@ def read_source(surface: Surface) -> Asset:
 def keep(asset: Asset, run: Run, surface: Surface) -> Asset:
     """Copy the asset that `read_source` gave into its run, unless it is there; return the copy."""
     path, texture = _places(run, surface)
-    if not path.exists() and not _old(run).exists():
+    if not path.exists():
         if texture is not None:
             write_atomically(texture, read_file(Path(surface.texture or "")))
         _copy(asset, path, given=texture is not None)  # last: where it is, all is
-    return read_kept(run, surface)
+    return read_copy(run, surface)
 
 
-def read_kept(run: Run, surface: Surface) -> Asset:
+def read_copy(run: Run, surface: Surface) -> Asset:
     """The run's own copy of its asset."""
-    if _old(run).exists():
-        return read_asset(_old(run))
     return read_asset(*_places(run, surface))
 
 
 def source_of(run: Run, surface: Surface, asset: Asset) -> Source:
-    """The run's copy of its asset, as a generator takes it along."""
-    mesh, texture = (_old(run), None) if _old(run).exists() else _places(run, surface)
+    """The files of the run's copy of its asset, for the generator."""
+    mesh, texture = _places(run, surface)
     files = [path for path in run.asset.rglob("*") if path.is_file() and not path.name.startswith(".")]
 
     def place(path: Path) -> str:
@@ -54,19 +52,17 @@ def source_of(run: Run, surface: Surface, asset: Asset) -> Source:
 
 
 def _places(run: Run, surface: Surface) -> tuple[Path, Path | None]:
-    """Of the mesh, and of the texture that was given."""
+    """Where the run has its mesh, and the texture that replaces the mesh's own."""
+    if (old := run.asset / "asset.glb").exists():
+        return old, None
     path = run.asset / "files" / (Path(surface.path).name or "vase.glb")
     if path.suffix.lower() == ".gltf":
         path = path.with_suffix(".glb")
     return path, run.asset / "texture" / Path(surface.texture).name if surface.texture else None
 
 
-def _old(run: Run) -> Path:
-    return run.asset / "asset.glb"
-
-
 def _copy(asset: Asset, path: Path, given: bool) -> None:
-    """A glTF becomes one GLB with all its buffers and images; an OBJ and a PLY take theirs along.
+    """Copy a mesh with its files: a glTF becomes one GLB, an OBJ or a PLY keeps its files next to it.
 
     The images of a PLY are needed only where no texture was given.
     """

@@ -9,6 +9,7 @@ from flx.assets.arrays import sheet_asset
 from flx.assets.asset import own_painting
 from flx.assets.vase import vase_asset
 from flx.assets.write import write
+from flx.config import Comparison
 from flx.evaluation import reconstruction
 from flx.evaluation.reconstruction import markdown, means, reconstruction_table
 
@@ -24,8 +25,9 @@ def folder(tmp_path_factory):
 
 
 def measure(folder, vertices, methods, images=None):
+    meshes = (str(folder / "vase.glb"),)
     return reconstruction_table(
-        [str(folder / "vase.glb")], vertices, methods, images, None, 128, 0, folder / "out"
+        Comparison(meshes, folder / "out", tuple(vertices), tuple(methods), images, texture_size=128)
     )
 
 
@@ -74,8 +76,10 @@ def test_means_are_over_meshes_for_each_method_and_count():
 def test_wrong_input_is_refused_and_nothing_lost(folder, tmp_path, methods, content, named):
     if content:
         (tmp_path / "table.json").write_text(content)
+    options = Comparison((str(folder / "vase.glb"),), tmp_path, (400,), texture_size=128)
+    object.__setattr__(options, "methods", tuple(methods))  # the type checks of the tests stop other words
     with pytest.raises(ValueError, match=named):
-        reconstruction_table([str(folder / "vase.glb")], [400], methods, None, None, 128, 0, tmp_path)
+        reconstruction_table(options)
     assert not content or (tmp_path / "table.json").read_text() == content
 
 
@@ -92,16 +96,9 @@ def test_an_image_is_laid_on_a_sheet_of_its_proportions(tmp_path):
     u, v = asset.mesh.corner_uvs.reshape(-1, 2).T  # they run right and down
     x, y, _ = (asset.mesh.vertices[asset.mesh.faces] / size[1]).reshape(-1, 3).T
     np.testing.assert_allclose([u, v], [x / 1.5, 1 - y], atol=1e-6)
+    meshes = (str(tmp_path / "picture.png"),)
     rows = reconstruction_table(
-        [str(tmp_path / "picture.png")],
-        [300],
-        ["vertex_colours"],
-        None,
-        None,
-        None,
-        0,
-        tmp_path / "out",
-        True,
+        Comparison(meshes, tmp_path / "out", (300,), ("vertex_colours",), atlases=True)
     )
     assert rows[0]["psnr"] > 8
     (atlas,) = (tmp_path / "out").glob("picture-300-vertex_colours-*.png")

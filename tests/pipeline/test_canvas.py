@@ -8,7 +8,7 @@ from flx.assets.asset import Asset
 from flx.assets.vase import vase_asset
 from flx.evaluation.fidelity import fidelity
 from flx.geometry.sampling import surface_colors
-from flx.pipeline.canvas import CHUNK, chunks, open_canvas, painted
+from flx.pipeline.canvas import CHUNK, bake, chunks, open_canvas
 from flx.types import Triangulation
 
 
@@ -26,8 +26,9 @@ def test_colours_reach_the_texels_of_their_points(asset):
     colors = surface_colors(asset.mesh, canvas.atlases[0].points)
     parts = np.split(colors, range(CHUNK, len(colors), CHUNK))
     assert len(parts) > 1
-    assert fidelity(asset, painted(canvas, iter(parts)))["psnr"] > 100
-    assert fidelity(asset, painted(canvas, (1 - part for part in parts)))["psnr"] < 20
+    right, wrong = iter(parts), iter(1 - part for part in parts)
+    assert fidelity(asset, bake(canvas, lambda _: next(right)))["psnr"] > 100
+    assert fidelity(asset, bake(canvas, lambda _: next(wrong)))["psnr"] < 20
 
 
 def test_chunks_are_asked_where_the_texels_are(asset):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.config import Train
-from flx.training.optimizer import ADAM_BESIDE_MUON, learning_rate, make_optimizer
+from flx.training.optimizer import ADAM_RATE, learning_rate, make_optimizer
 
 
 @given(st.integers(2, 500), st.integers(0, 400), st.floats(1e-4, 1.0), st.floats(0.0, 1.0))
@@ -54,4 +54,4 @@ def test_muon_turns_matrices_by_the_rate_and_leaves_the_rest_to_adam():
     assert np.all((scaled > 0.6) & (scaled < 1.3))
     along = -updates["bias"] / np.sign(gradient["dense"]["bias"])
     np.testing.assert_allclose(along, along[0], rtol=1e-3)  # Adam's first step knows the signs alone
-    assert 1 < along[0] / (0.1 * ADAM_BESIDE_MUON) < 2  # longer than the rate by Nesterov's momentum
+    assert 1 < along[0] / (0.1 * ADAM_RATE) < 2  # longer than the rate by Nesterov's momentum

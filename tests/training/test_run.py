@@ -105,7 +105,7 @@ def test_a_renamed_folder_is_the_same_run(tmp_path):
 
 @pytest.mark.parametrize("name", ["", "..", ".", "a/b", "/tmp/x"])
 def test_a_run_stays_in_its_root(tmp_path, name):
-    with pytest.raises(ValueError, match="names no folder"):
+    with pytest.raises(ValueError, match="is not a folder name"):
         open_run(tmp_path / "runs", dataclasses.replace(demo, name=name), "ab12")
     assert not list(tmp_path.iterdir())
 

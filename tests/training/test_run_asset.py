@@ -14,7 +14,7 @@ from flx.assets.formats.obj_source import ObjSource
 from flx.assets.write import write
 from flx.config import Surface
 from flx.training.run import Run
-from flx.training.run_asset import keep, read_kept, read_source
+from flx.training.run_asset import keep, read_copy, read_source
 
 
 def obj(folder: Path) -> Path:
@@ -96,7 +96,7 @@ def test_an_asset_is_read_back_from_its_run_bit_for_bit(tmp_path, make, given):
     kept = keep(asset, run, surface)
     shutil.rmtree(tmp_path / "in")
     texture.unlink()
-    again = read_kept(run, surface)
+    again = read_copy(run, surface)
     assert same_bits(asset, kept) and same_bits(asset, again)
     assert run.asset in again.path.parents
     files = {path: path.stat().st_mtime_ns for path in run.asset.rglob("*")}

@@ -55,8 +55,7 @@ def upright(rings: RingSamples) -> Upright:
 
 def join_code(scalars: Float[Array, "*B S"], vectors: Complex[Array, "*B C"]) -> Complex[Array, "*B D"]:
     """A code: the vectors, then the scalars in pairs as invariant complex channels."""
-    re, im = jnp.split(scalars, 2, -1)
-    return jnp.concatenate([vectors, jax.lax.complex(re, im)], -1)
+    return jnp.concatenate([vectors, jax.lax.complex(*jnp.split(scalars, 2, -1))], -1)
 
 
 def split_code(

@@ -22,8 +22,7 @@ class ComplexMLP(nn.Module):
     @nn.compact
     def __call__(self, x: Float[Array, "*B C"]) -> Complex[Array, "*B D"]:
         pairs = RealMLP((*self.widths[:-1], 2 * self.widths[-1]), self.precision)(x)
-        re, im = jnp.split(pairs, 2, -1)
-        return jax.lax.complex(re, im)
+        return jax.lax.complex(*jnp.split(pairs, 2, -1))
 
 
 class Attention(nn.Module):
@@ -35,18 +34,14 @@ class Attention(nn.Module):
     @nn.compact
     def __call__(self, x: Complex[Array, "*B T C"]) -> Complex[Array, "*B T C"]:
         channels = x.shape[-1]
-        qkv = ComplexDense(3 * channels, self.precision)(x)
-        q, k, v = (self.split_heads(part) for part in jnp.split(qkv, 3, -1))
+        qkv = jnp.split(ComplexDense(3 * channels, self.precision)(x), 3, -1)
+        # Heads of (re, im) pairs, whose real inner products are those of the tangent vectors.
+        q, k, v = (algebra.real_pairs(part.reshape(*x.shape[:-1], self.heads, -1)) for part in qkv)
         # Not jax.nn.dot_product_attention, whose softmax is float32 even if everything else is float64.
         logits = jnp.einsum("...qhe,...khe->...hqk", q, k) * (channels // self.heads) ** -0.5
         y = jnp.einsum("...hqk,...khe->...qhe", nn.softmax(logits), v)
-        re, im = jnp.split(y, 2, -1)
-        merged = jax.lax.complex(re, im).reshape(x.shape)
+        merged = jax.lax.complex(*jnp.split(y, 2, -1)).reshape(x.shape)
         return ComplexDense(channels, self.precision)(merged)
-
-    def split_heads(self, x: Complex[Array, "*B T C"]) -> Float[Array, "*B T H E"]:
-        """Heads of (re, im) pairs, whose real inner products are those of the tangent vectors."""
-        return algebra.real_pairs(x.reshape(*x.shape[:-1], self.heads, -1))
 
 
 class TransformerLayer(nn.Module):
@@ -78,11 +73,8 @@ class Encoder(nn.Module):
         x = jnp.concatenate([token, lifted], -2)
         for _ in range(c.layers):
             x = TransformerLayer(c.heads, c.precision)(x)
-        return self.posterior(TokenNorm()(x[..., 0, :]))
-
-    def posterior(self, token: Complex[Array, "*B C"]) -> Posterior:
-        """The mean by a two-layer VN MLP, log σ by an MLP on a learned invariant product."""
-        c = self.config
+        token = TokenNorm()(x[..., 0, :])
+        # The mean is read by a two-layer VN MLP, log σ by an MLP on a learned invariant product.
         mean = ComplexDense(c.latents, c.precision)(VNLayer(c.channels, c.precision)(token))
         product = jnp.conj(token) * ComplexDense(c.channels, c.precision)(token)
         log_sigma = RealMLP((c.channels, c.latents), c.precision)(algebra.real_pairs(product))

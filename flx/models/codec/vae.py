@@ -87,10 +87,7 @@ def kl_divergence(posterior: Posterior) -> Float[Array, "*B"]:
 
 
 def flvae_loss(
-    colors: Float[Array, "*#P 3"],
-    predicted: Float[Array, "*#P 3"],
-    posterior: Posterior,
-    kl_weight: float,
+    colors: Float[Array, "*#P 3"], predicted: Float[Array, "*#P 3"], posterior: Posterior, kl_weight: float
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """L1 summed over RGB plus the weighted KL summed over D, each averaged over all else; and the metrics.
 

@@ -1,10 +1,12 @@
 """The denoiser for codes that have invariant channels: vector fields and invariant fields side by side.
 
-As deep as the paper's network, with the same reach. A convolution is the set of
-first-order stencils of `flx.fields.stencils` and, at each vertex, layers in which the two kinds meet:
-invariants see inner products of vectors and the embedding, vectors are scaled by invariants.
-Inside, fields are pairs [V, 2C] as there.
+As deep as the paper's network, with the same reach. A convolution is the set of first-order stencils of
+`flx.fields.stencils` and, at each vertex, layers in which the two kinds meet: invariants see inner products
+of vectors and the embedding; vectors are scaled by invariants. Fields are pairs [V, 2C], as in the stencils.
 """
+
+from collections.abc import Callable
+from functools import partial
 
 import flax.linen as nn
 import jax
@@ -79,10 +81,25 @@ class MixedBlock(nn.Module):
         return (x, t), None
 
 
+def _complex(pairs: Float[Array, "V C2"]) -> Complex[Array, "V C"]:
+    return jax.lax.complex(*jnp.split(pairs, 2, -1))
+
+
+def _between(step: Callable[[Pooling, Array], Array], pooling: Pooling, fields: Fields) -> Fields:
+    """`pool` or `unpool` of both kinds; invariants are not transported."""
+    still = pooling._replace(
+        transports=jnp.ones_like(pooling.transports), child_transports=jnp.ones_like(pooling.child_transports)
+    )
+    x, t = step(pooling, _complex(fields[0])), step(still, _complex(fields[1]))
+    return algebra.real_pairs(x), algebra.real_pairs(t)
+
+
 class MixedDenoiser(UNet):
     """The U-Net whose features are vectors and invariants, as the channels of Z are."""
 
     Block = MixedBlock
+    pool = staticmethod(partial(_between, convolution.pool))
+    unpool = staticmethod(partial(_between, convolution.unpool))
 
     def split(self, z: Complex[Array, "V D"]) -> Fields:
         vectors, invariants = jnp.split(z, [self.config.code_channels[0]], -1)
@@ -92,12 +109,6 @@ class MixedDenoiser(UNet):
         precision = self.config.precision
         vectors = PairsDense(features, precision, name=name)(x[0])
         return vectors, RealDense(2 * features, precision, name=f"{name}_invariants")(x[1])
-
-    def pool(self, pooling: Pooling, x: Fields) -> Fields:
-        return _between(convolution.pool, pooling, x)
-
-    def unpool(self, pooling: Pooling, y: Fields) -> Fields:
-        return _between(convolution.unpool, pooling, y)
 
     def merge(self, upper: Fields, x: Fields) -> Fields:
         upper = self.dense(self.config.channels, "merge", upper)
@@ -110,17 +121,3 @@ class MixedDenoiser(UNet):
         a = PairsDense(vectors, precision, small, name="head")(x[0])
         b = RealDense(2 * invariants, precision, name="head_invariants")(x[1])
         return jnp.concatenate([_complex(a), _complex(b)], -1)
-
-
-def _complex(pairs: Float[Array, "V C2"]) -> Complex[Array, "V C"]:
-    return jax.lax.complex(*jnp.split(pairs, 2, -1))
-
-
-def _between(step, pooling: Pooling, fields: Fields) -> Fields:
-    """`pool` or `unpool` of both kinds; invariants are not transported."""
-    still = pooling._replace(
-        transports=jnp.ones_like(pooling.transports),
-        child_transports=jnp.ones_like(pooling.child_transports),
-    )
-    x, t = step(pooling, _complex(fields[0])), step(still, _complex(fields[1]))
-    return algebra.real_pairs(x), algebra.real_pairs(t)

@@ -1,7 +1,7 @@
 """ε(Z_t, t, ρ): what both denoising networks share. A two-level U-Net on the tables of one mesh copy.
 
-How much of the surface the network sees is the design (`flx.models.denoiser.depth`). Subclasses say what a
-feature is (a field of vectors, or vectors and invariants), and how it is lifted, pooled, merged and read out.
+How much of the surface the network sees is the design (`flx.models.denoiser.depth`). Subclasses define the
+features (vectors, or vectors and invariants), and how they are lifted, pooled, merged and read out.
 """
 
 from typing import Any, ClassVar
@@ -15,7 +15,7 @@ from jaxtyping import Complex, Float, Float64
 from flx.config import FLDM, Blocks
 from flx.fields import diffusion
 from flx.models.layers import RealMLP, complex_initializer, timestep_features
-from flx.types import MeshTables, OneRings, Pooling
+from flx.types import MeshTables, OneRings
 
 Features = Any  # an array [V, ...], or a pair of them
 
@@ -28,7 +28,16 @@ class UNet(nn.Module):
 
     config: FLDM
     blocks: Blocks
+
+    # What a subclass provides.
     Block: ClassVar[Any]  # (config)(features, rings, embedding) → (features, None)
+    split: ClassVar[Any]  # (z) → features
+    dense: ClassVar[Any]  # (channels, name, features) → features: a layer at each vertex
+    pool: ClassVar[Any]  # (pooling, fine features) → coarse features
+    unpool: ClassVar[Any]  # (pooling, coarse features) → fine features
+    merge: ClassVar[Any]  # (features from the coarse level, features that skipped it) → features
+    # (features) → answer. It starts small: the loss begins at that of predicting zero, E|ε|² = 2.
+    head: ClassVar[Any]
 
     @nn.compact
     def __call__(
@@ -67,30 +76,6 @@ class UNet(nn.Module):
         )
         return scan(self.config, name=name)(x, rings, embedding)[0]
 
-    def split(self, z: Complex[Array, "V D"]) -> Features:
-        """The input as features."""
-        raise NotImplementedError
-
-    def dense(self, features: int, name: str, x: Features) -> Features:
-        """A layer at each vertex, to so many channels."""
-        raise NotImplementedError
-
-    def pool(self, pooling: Pooling, x: Features) -> Features:
-        """Features of the coarse level."""
-        raise NotImplementedError
-
-    def unpool(self, pooling: Pooling, y: Features) -> Features:
-        """Features of the fine level again."""
-        raise NotImplementedError
-
-    def merge(self, upper: Features, x: Features) -> Features:
-        """What comes back from the coarse level and what skipped it."""
-        raise NotImplementedError
-
-    def head(self, x: Features) -> Complex[Array, "V D"]:
-        """The answer. Small at first: the loss starts at that of predicting zero, E|ε|² = 2."""
-        raise NotImplementedError
-
 
 def embed(
     config: FLDM, t: Float[Array, ""], rho: Float[Array, "V m"] | None
@@ -122,7 +107,7 @@ def denoise(
 ) -> Complex[Array, "V D"]:
     """The noise in z = Z_t, by the network as a function of its parameters.
 
-    It answers with ε, or with v = √α_t ε − √(1−α_t) Z (Salimans & Ho 2022): ε = √(1−α_t) Z_t + √α_t v.
+    The network returns ε, or v = √α_t ε − √(1−α_t) Z (Salimans & Ho 2022): ε = √(1−α_t) Z_t + √α_t v.
     """
     answer: Any = network.apply(params, tables, z, t, rho)
     if network.config.predicts == "noise":

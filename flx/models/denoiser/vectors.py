@@ -13,7 +13,7 @@ from flx.fields import convolution
 from flx.fields.convolution import field_conv, init_filter
 from flx.models.denoiser.unet import UNet, small
 from flx.models.layers import ComplexDense, FieldNorm, VNLayer
-from flx.types import OneRings, Pooling
+from flx.types import OneRings
 
 
 class FieldConv(nn.Module):
@@ -47,10 +47,7 @@ class FCResNetBlock(nn.Module):
 
     @nn.compact
     def __call__(
-        self,
-        x: Complex[Array, "V C"],
-        rings: OneRings,
-        embedding: Float[Array, "V E"] | Float[Array, "E"],
+        self, x: Complex[Array, "V C"], rings: OneRings, embedding: Float[Array, "V E"] | Float[Array, "E"]
     ) -> tuple[Complex[Array, "V C"], None]:
         channels, y = x.shape[-1], x
         for seen in (None, embedding):
@@ -64,18 +61,13 @@ class Denoiser(UNet):
     """The U-Net whose features are tangent vectors, [V, C]."""
 
     Block = FCResNetBlock
+    pool, unpool = staticmethod(convolution.pool), staticmethod(convolution.unpool)
 
     def split(self, z: Complex[Array, "V D"]) -> Complex[Array, "V D"]:
         return z
 
     def dense(self, features: int, name: str, x: Complex[Array, "V C"]) -> Complex[Array, "V D"]:
         return ComplexDense(features, self.config.precision, name=name)(x)
-
-    def pool(self, pooling: Pooling, x: Complex[Array, "V C"]) -> Complex[Array, "W C"]:
-        return convolution.pool(pooling, x)
-
-    def unpool(self, pooling: Pooling, y: Complex[Array, "W C"]) -> Complex[Array, "V C"]:
-        return convolution.unpool(pooling, y)
 
     def merge(self, upper: Complex[Array, "V E"], x: Complex[Array, "V C"]) -> Complex[Array, "V C"]:
         return self.dense(self.config.channels, "merge", jnp.concatenate([upper, x], -1))
