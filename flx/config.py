@@ -15,6 +15,7 @@ Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
 Filter = Literal["harmonic", "mlp"]
 FRAME_VECTORS = 48  # the most vectors that the frame encoder can give a code: those of its polynomials
+Sampler = Literal["ddim", "dpm", "ancestral"]  # deterministic; of second order; DDPM
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 

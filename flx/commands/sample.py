@@ -3,12 +3,12 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from tqdm import tqdm
 from tyro.conf import Positional
 
 from flx.assets.asset import Format
+from flx.config import Sampler
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Sample:
     # "glb" keeps everything that a GLB or glTF held, "obj" everything of an OBJ; "ply" holds vertex colours
     format: Format = "glb"
     steps: int = 50  # evaluations of the network; "ancestral" takes all steps of the schedule instead
-    sampler: Literal["ddim", "dpm", "ancestral"] = "ddim"  # "dpm" is of second order, "ancestral" is DDPM
+    sampler: Sampler = "ddim"  # "dpm" is of second order, "ancestral" is DDPM
 
     def __call__(self) -> None:
         print(sample(self))

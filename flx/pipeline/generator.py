@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, cast, get_args
+from typing import Any, NamedTuple, cast, get_args
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ from flx import __version__
 from flx.assets.asset import Asset, Painting
 from flx.assets.formats.files import inside
 from flx.assets.read import read_asset
-from flx.config import FLDM, FLVAE, FLDMExperiment, from_json
+from flx.config import FLDM, FLVAE, FLDMExperiment, Sampler, from_json
 from flx.fields import samplers
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import Scaling
@@ -38,9 +38,6 @@ from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.canvas import bake, open_canvas
 from flx.pipeline.codec import Codec
 from flx.types import MeshTables, Triangulation
-
-SamplerName = Literal["ddim", "dpm", "ancestral"]
-SAMPLERS: tuple[SamplerName, ...] = get_args(SamplerName)
 
 
 class Home(NamedTuple):
@@ -82,7 +79,7 @@ class Generator:
         key: jax.Array,
         copy: Any = None,
         steps: int = 50,
-        sampler: SamplerName = "ddim",
+        sampler: Sampler = "ddim",
         hook: samplers.Hook | None = None,
     ) -> Complex64[np.ndarray, "V D"]:
         """New codes at the vertices of a copy: anything with `tables`, the generator's own unless given.
@@ -119,9 +116,10 @@ def generate(
     count: int = 4,
     seed: int = 0,
     steps: int = 50,
-    sampler: SamplerName = "ddim",
+    sampler: Sampler = "ddim",
     texture_size: int | None = None,
     asset: Asset | None = None,
+    hook: samplers.Hook | None = None,
 ) -> Iterator[Painting]:
     """New textures of the asset that the generator learnt from, one after another.
 
@@ -129,7 +127,7 @@ def generate(
         generator: From `flx.load_generator`.
         count: How many.
         seed: Variation n depends on the seed and n alone.
-        steps, sampler: See `Generator.sample`.
+        steps, sampler, hook: See `Generator.sample`.
         texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
         asset: The same asset with an atlas of its own, if it came without one.
 
@@ -140,15 +138,15 @@ def generate(
     canvas = open_canvas(asset or generator.asset, generator.home.triangulation, texture_size)
     for n in range(count):
         key = jax.random.fold_in(jax.random.key(seed), n)
-        yield bake(canvas, generator.codec.decoder(generator.sample(key, None, steps, sampler)))
+        yield bake(canvas, generator.codec.decoder(generator.sample(key, None, steps, sampler, hook)))
 
 
 def sampler_named(name: str, alphas: Float64[np.ndarray, "T"], steps: int) -> samplers.Sampler:
     """Raises ValueError for a name that is not known, and for more steps than the schedule has."""
     if name == "ancestral":
         return samplers.ancestral(alphas)
-    if name not in SAMPLERS:
-        raise ValueError(f"there is no sampler {name!r}; choose one of {', '.join(SAMPLERS)}")
+    if name not in get_args(Sampler):
+        raise ValueError(f"there is no sampler {name!r}; choose one of {', '.join(get_args(Sampler))}")
     return {"ddim": samplers.ddim, "dpm": samplers.dpm_solver}[name](alphas, steps)
 
 
@@ -220,7 +218,8 @@ def save_generator(path: Path, generator: Generator) -> None:
         **{f"asset/{name}": np.frombuffer(content, np.uint8) for name, content in source.files.items()},
     }
     text = json.dumps(record)
-    write_atomically(path, save(tensors, {"generator": text, "sha256": _digest(tensors, text)}))
+    # One entry: several would be written in any order, and the same generator as other bytes.
+    write_atomically(path, save(tensors, {"generator": f"{_digest(tensors, text)} {text}"}))
 
 
 def read_generator(path: Path) -> Generator:
@@ -230,9 +229,9 @@ def read_generator(path: Path) -> Generator:
     """
     try:
         with safe_open(path, "numpy") as file:
-            text = (metadata := file.metadata() or {})["generator"]
+            digest, _, text = (file.metadata() or {})["generator"].partition(" ")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        if _digest(tensors, text) != metadata["sha256"]:
+        if _digest(tensors, text) != digest:
             raise ValueError("its content is not what was written")
         return _parse(json.loads(text), tensors)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:

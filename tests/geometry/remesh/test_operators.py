@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
+from flx.geometry.arrays import mark
 from flx.geometry.remesh.features import features
 from flx.geometry.remesh.operators import collapse_edges, flip_edges
 from flx.geometry.remesh.planar import planar
@@ -18,7 +19,6 @@ from flx.geometry.topology import (
     edge_lengths,
     has_edge,
     invariants,
-    mark,
     topology,
 )
 from flx.types import Triangulation
