@@ -9,7 +9,7 @@ from flx.assets.asset import Asset, Format
 from flx.assets.conversion import dangling, left_behind
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.obj_source import ObjSource
-from flx.assets.write import check_room
+from flx.assets.write import atlas_files, check_room
 
 
 def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Sequence[Path] = ()) -> None:
@@ -28,7 +28,7 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
     if format == "ply" and asset.textures:
         raise ValueError(f"{asset.path} has textures, a PLY only vertex colours; use --format glb or obj")
     for path in paths:
-        check_room(asset, path, beside)
+        check_room(asset, path, [*beside, *atlas_files(asset, path).values()])
     notes = []
     if left := left_behind(asset, format):
         keeping = {ObjSource: "; --format obj keeps all", Gltf: "; --format glb keeps all"}

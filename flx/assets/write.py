@@ -105,7 +105,7 @@ def _write_obj_colors(asset: Asset, painting: Painting, path: Path) -> None:
 
 
 def _image_files(asset: Asset, path: Path) -> dict[int, str]:
-    """The PNG of an OBJ for each texture that is not flat. None has the name of a map of the asset."""
+    """A PNG's name for each texture that is not flat. None has the name of a map of the asset."""
     maps = asset.container.maps.values() if isinstance(asset.container, ObjSource) else ()
     taken, files = {name.lower() for name in maps}, {}
     for index, texture in enumerate(asset.textures):
@@ -262,10 +262,14 @@ def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
 
 def write_atlases(asset: Asset, painting: Painting, path: Path) -> None:
     """The new base colours as PNGs named after the mesh at `path`; not for an OBJ, which has its own."""
-    for index, image in enumerate(painting.images if path.suffix != ".obj" else ()):
-        if not asset.textures[index].flat:
-            suffix = f"_{index}" if len(painting.images) > 1 else ""
-            write_png(path.with_name(f"{path.stem}{suffix}.png"), image)
+    for index, file in atlas_files(asset, path).items():
+        write_png(file, painting.images[index])
+
+
+def atlas_files(asset: Asset, path: Path) -> dict[int, Path]:
+    """The file that `write_atlases` makes for each texture that is not flat."""
+    names = {} if path.suffix == ".obj" else _image_files(asset, path)
+    return {index: path.with_name(name) for index, name in names.items()}
 
 
 def write_png(path: Path, image: UInt8[Any, "H W 3"]) -> None:

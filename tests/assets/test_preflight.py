@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.scene import container, png, save
+from PIL import Image
 
 from flx.assets.asset import Painting
 from flx.assets.preflight import check_output
@@ -60,3 +61,13 @@ def test_what_a_new_ply_will_not_have_is_named_in_one_line(tmp_path, capsys):
     write(asset, Painting({}, np.zeros((4, 3), np.float32)), tmp_path / "out.ply")
     check_output(read_asset(tmp_path / "out.ply"), "ply", [tmp_path / "b.ply"])
     assert capsys.readouterr().err == ""
+
+
+def test_the_atlas_beside_a_mesh_overwrites_no_file_of_the_input(tmp_path):
+    """An OBJ whose image has the name that the new atlas would get, and one that was given with --texture."""
+    Image.new("RGB", (8, 4), (10, 20, 30)).save(tmp_path / "new.png")
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    asset = read_asset(tmp_path / "a.obj", tmp_path / "new.png")
+    with pytest.raises(ValueError, match=r"new\.png would overwrite a file of .*; name another --out"):
+        check_output(asset, "glb", [tmp_path / "new.glb"])
+    check_output(asset, "glb", [tmp_path / "other.glb"])
