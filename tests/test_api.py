@@ -43,6 +43,7 @@ def test_a_name_that_is_not_there_is_an_attribute_error():
         _ = flx.loat  # type: ignore
 
 
+@pytest.mark.slow
 def test_there_and_back_from_arrays(tmp_path):
     """Ten lines with nothing but public names, from arrays to a file and its measure."""
     vase = flx.vase()
@@ -62,6 +63,7 @@ def test_there_and_back_from_arrays(tmp_path):
         flx.paint(asset, copy, codec, np.zeros((5, 8), np.complex64))
 
 
+@pytest.mark.slow
 def test_to_trimesh_and_back():
     mesh = flx.to_trimesh(flx.vase())
     assert flx.from_trimesh(mesh).report.faces == len(mesh.faces)

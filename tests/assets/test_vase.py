@@ -19,6 +19,8 @@ from flx.training.run import Run
 from flx.training.run_asset import keep, read_source
 from flx.types import TexturedMesh
 
+pytestmark = pytest.mark.slow
+
 
 def exported_by_trimesh(mesh: TexturedMesh, path: Path) -> Path:
     """The vase as it used to be made: trimesh writes it, and it is read from there."""

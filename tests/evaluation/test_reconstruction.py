@@ -13,6 +13,8 @@ from flx.config import Comparison
 from flx.evaluation import reconstruction
 from flx.evaluation.reconstruction import markdown, means, reconstruction_table
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -35,7 +37,6 @@ def refuse(subject):
     raise AssertionError("measured again")
 
 
-@pytest.mark.slow
 def test_rows_that_are_there_are_kept_and_others_added(folder, monkeypatch):
     first = json.loads((folder / "out" / "table.json").read_text())["rows"]
     monkeypatch.setattr(reconstruction, "vertex_colours", refuse)

@@ -39,6 +39,7 @@ def test_complex_linear_is_the_complex_matrix_product(precision, tolerance):
     assert error < tolerance * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_gradient_of_a_pair_of_real_weights_descends():
     """A complex parameter would need a conjugate; a pair must not."""
     x, w = noise(3, 50, 4), jnp.zeros((2, 4, 1))

@@ -54,6 +54,7 @@ def test_stencils_of_linear_and_parallel_fields_on_a_flat_sheet():
     assert abs(found[0]) > 0.01 and abs(np.angle(found[0] / (2 + 1j))) < 0.4
 
 
+@pytest.mark.slow
 def test_scatter_free_gradients_are_those_of_autodiff():
     rings = tables_of(torus()).fine
     coefficients = jnp.stack([rings.weights * rings.transports, rings.weights * rings.logs])

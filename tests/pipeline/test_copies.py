@@ -25,6 +25,8 @@ from flx.geometry.tables import mesh_tables
 from flx.pipeline.codec import Codec, initial_params
 from flx.pipeline.copies import Cache, Prepared, load_tables, open_cache, prepare, save_tables
 
+pytestmark = pytest.mark.slow
+
 SURFACE = Surface(vertices=100, copies=2, seed=7)
 
 # --- the cache
@@ -98,7 +100,6 @@ def test_a_copy_of_which_a_part_is_missing_is_made_again(tmp_path, made, asset, 
         assert_same(cache.load(seed), made.load(seed))
 
 
-@pytest.mark.slow
 def test_a_preparation_that_was_killed_goes_on_where_it_was(tmp_path, asset, codec):
     """`kill -9` after the first copy is there: what is there stays, and the rest is the same as ever."""
     surface = replace(SURFACE, copies=40)

@@ -31,6 +31,8 @@ from flx.pipeline.generator import (
     save_generator,
 )
 
+pytestmark = pytest.mark.slow
+
 
 def colored_sphere() -> bytes:
     """A PLY of 162 coloured vertices."""

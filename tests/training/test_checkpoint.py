@@ -109,6 +109,7 @@ def test_another_network_is_refused(tmp_path, params, told):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_kill_during_a_save_leaves_the_one_before(tmp_path):
     """Save step 1, begin step 2 with 200 MB, kill -9 as soon as its torn folder is there."""
     save = (

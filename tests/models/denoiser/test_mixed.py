@@ -12,6 +12,8 @@ from flx.fields.algebra import real_pairs, tangent_noise
 from flx.models.denoiser.mixed import MixedBlock, MixedDenoiser
 from flx.models.denoiser.unet import denoise
 
+pytestmark = pytest.mark.slow
+
 CONFIG = FLDM(network="mixed", latents=4, invariants=2, channels=6, embedding=16, precision="float32")
 
 
@@ -43,7 +45,6 @@ def test_a_block_that_adds_nothing_is_the_identity():
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.slow
 def test_the_denoiser_turns_its_vectors_and_not_its_invariants():
     tables = tables_of(icosphere(2))
     z = tangent_noise(jax.random.key(0), (len(tables.fine.masses), 4))
@@ -57,7 +58,6 @@ def test_the_denoiser_turns_its_vectors_and_not_its_invariants():
     assert relative(denoise(network, params, tables, z, jnp.float32(900)), here) > 1e-3
 
 
-@pytest.mark.slow
 def test_the_denoiser_takes_conditions():
     config = FLDM(**{**CONFIG.__dict__, "conditions": 2})
     tables = tables_of(icosphere(1))
