@@ -6,6 +6,8 @@ from PIL import Image
 
 from flx.commands.reconstruct import Reconstruct, reconstruct
 
+pytestmark = pytest.mark.slow
+
 
 def test_an_obj_is_reconstructed_as_the_same_obj_and_its_image_keeps_its_alpha(tmp_path):
     path, out = saved(tmp_path / "in"), tmp_path / "out"

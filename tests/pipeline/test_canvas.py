@@ -11,13 +11,14 @@ from flx.geometry.sampling import surface_colors
 from flx.pipeline.canvas import CHUNK, bake, chunks, open_canvas
 from flx.types import Triangulation
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def asset() -> Asset:
     return vase_asset()
 
 
-@pytest.mark.slow
 def test_colours_reach_the_texels_of_their_points(asset):
     """The whole way of a row with an exact method: the texels' own colours leave no error."""
 

@@ -25,6 +25,8 @@ from flx.geometry.remesh.tighten import (
 from flx.geometry.topology import invariants, topology
 from flx.types import Triangulation
 
+pytestmark = pytest.mark.slow
+
 seeds = st.integers(0, 10**6)
 
 
