@@ -126,9 +126,9 @@ def train(
                     if last or done % config.checkpoint_every == 0:
                         log.add(done, under_way)  # first: a state that is not finite is never saved
                         log.write()
-                        checkpoints.save(done, state)
-                        if save is not None:
+                        if save is not None:  # first: what it writes is never behind a checkpoint
                             save(done, state.ema)
+                        checkpoints.save(done, state)
                         under_way = None
                     if last:
                         break

@@ -217,3 +217,12 @@ def at(*keys: str | int, to: object) -> Build:
 
 def floats(offset: int, *values: float) -> Callable[[bytearray], None]:
     return lambda content: struct.pack_into(f"<{len(values)}f", content, offset, *values)
+
+
+def corners(parts) -> np.ndarray:
+    """Positions, texture coordinates and colours of every corner of every face."""
+    rows = []
+    for part in parts:
+        columns = [part.positions, part.uvs, part.normals, part.colors]
+        rows.append(np.concatenate([c[part.faces] for c in columns if c is not None], -1))
+    return np.concatenate(rows)

@@ -236,3 +236,14 @@ def test_steps_draw_from_their_own_key():
 def test_a_configuration_that_cannot_train_is_refused(tmp_path, change, told):
     with pytest.raises(ValueError, match=told):
         train(Run(tmp_path / "no"), Train(**{**vars(config), **change}), INIT, loss_fn, batches)
+
+
+def test_what_is_saved_beside_a_checkpoint_is_never_behind_it(tmp_path, monkeypatch):
+    """A kill between the two would else leave it behind for ever, were that checkpoint the last."""
+    order, checkpoint = [], Checkpoints.save
+    monkeypatch.setattr(
+        Checkpoints, "save", lambda self, n, state: (order.append(-n), checkpoint(self, n, state))[1]
+    )
+    state = train(Run(tmp_path / "order"), config, INIT, loss_fn, batches, lambda n, ema: order.append(n))
+    steps = order[::2]
+    assert len(steps) > 1 and steps[-1] == int(state.step) and order[1::2] == [-n for n in steps]

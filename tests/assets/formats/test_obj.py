@@ -3,21 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
-from helpers.files import OBJ
+from helpers.files import OBJ, corners
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.assets.formats.obj import fans, parse_obj
 from flx.assets.formats.ply import parse_ply
-
-
-def corners(parts) -> np.ndarray:
-    """Positions, texture coordinates and colours of every corner of every face."""
-    rows = []
-    for part in parts:
-        columns = [part.positions, part.uvs, part.normals, part.colors]
-        rows.append(np.concatenate([c[part.faces] for c in columns if c is not None], -1))
-    return np.concatenate(rows)
 
 
 def test_relative_indices_count_from_their_own_line():

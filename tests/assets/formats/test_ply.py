@@ -5,21 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.files import PLY, obj, ply_binary, png
+from helpers.files import PLY, corners, obj, ply_binary, png
 
 from flx.assets.formats.ply import parse_ply
 from flx.assets.read import read_asset
 
 HEAD = PLY[: PLY.index("end_header")]
-
-
-def corners(parts) -> np.ndarray:
-    """Positions, texture coordinates and colours of every corner of every face."""
-    rows = []
-    for part in parts:
-        columns = [part.positions, part.uvs, part.normals, part.colors]
-        rows.append(np.concatenate([c[part.faces] for c in columns if c is not None], -1))
-    return np.concatenate(rows)
 
 
 def test_ascii_and_both_byte_orders_are_one_file():
