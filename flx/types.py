@@ -22,6 +22,8 @@ from jaxtyping import Complex64, Float32, Float64, Int, Int32, UInt
 
 Slot = Literal["base_color", "normal", "metallic_roughness", "occlusion", "emissive"]  # as in glTF
 SLOTS: tuple[Slot, ...] = get_args(Slot)
+Vertices = Float64[Any, "V 3"]  # positions
+Faces = Int[Any, "F 3"]  # their vertices, counter-clockwise seen from outside
 
 
 class Layer(NamedTuple):
@@ -42,8 +44,8 @@ class TexturedMesh(NamedTuple):
     There always is a layer of base colours. If it has no images, colour comes from `corner_colors`.
     """
 
-    vertices: Float64[Any, "V 3"]  # in the file's units
-    faces: Int[Any, "F 3"]  # counter-clockwise seen from outside
+    vertices: Vertices  # in the file's units
+    faces: Faces  # counter-clockwise seen from outside
     maps: Mapping[Slot, Layer]
     corner_colors: Float32[Any, "F 3 3"]  # zeros if the mesh has base colour images
 
@@ -73,8 +75,8 @@ def is_srgb(slot: Slot) -> bool:
 class Triangulation(NamedTuple):
     """One remeshed copy of a surface: a manifold, oriented triangle mesh, open or closed."""
 
-    vertices: Float64[Any, "V 3"]
-    faces: Int[Any, "F 3"]
+    vertices: Vertices
+    faces: Faces
 
 
 class OneRings(NamedTuple):

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int, Num
 
+from flx.types import Faces, Vertices
+
 Vectors = Float64[Any, "N 3"]
 Lengths = Float64[Any, "N"]
 CHUNK_ROWS = 1 << 12  # rows processed at a time, by default
@@ -38,7 +40,7 @@ def unit_vectors(u: Vectors) -> Vectors:
     return u / (length_of(u)[:, None] + 1e-300)
 
 
-def area_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F 3"]:
+def area_normals(vertices: Vertices, faces: Faces) -> Float64[Any, "F 3"]:
     """Face normals (b − a) × (c − a), whose length is twice the face's area."""
     normals = np.empty((len(faces), 3))
     for rows in chunks(len(faces)):
@@ -47,7 +49,7 @@ def area_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float
     return normals
 
 
-def face_areas(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
+def face_areas(vertices: Vertices, faces: Faces) -> Float64[Any, "F"]:
     """Triangle areas, in squared units of the vertices.
 
     NumPy's norm rounds otherwise than `length_of` does: masses and tables are defined with this one.
@@ -55,7 +57,7 @@ def face_areas(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64
     return np.linalg.norm(area_normals(vertices, faces), axis=1) / 2
 
 
-def squared_sides(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "3 F"]:
+def squared_sides(vertices: Vertices, faces: Faces) -> Float64[Any, "3 F"]:
     """The squared lengths of the sides ab, bc and ca of each face."""
     a, b, c = (np.take(vertices, faces[:, k], 0) for k in range(3))
     return np.stack([dot(u, u) for u in (b - a, c - b, a - c)])
@@ -74,7 +76,7 @@ def sum_at(groups: Int[Any, "N K"], values: Float64[Any, "N C"], count: int) -> 
     return np.stack([np.bincount(at, np.repeat(x, width), count) for x in values.T], 1, dtype=float)
 
 
-def vertex_normals(faces: Int[Any, "F 3"], normals: Float64[Any, "F 3"], count: int) -> Float64[Any, "V 3"]:
+def vertex_normals(faces: Faces, normals: Float64[Any, "F 3"], count: int) -> Float64[Any, "V 3"]:
     """Unit normals of `count` vertices: the directions of the sums of their faces' `normals`."""
     return unit_vectors(sum_at(faces, normals, count))
 

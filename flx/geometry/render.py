@@ -17,7 +17,7 @@ from flx.geometry.arrays import area_normals, dot, vertex_normals
 from flx.geometry.color import linear, srgb
 from flx.geometry.raster import Planes, barycentric_planes, pixels_inside
 from flx.geometry.sampling import face_normals, surface_colors
-from flx.types import SurfacePoints, TexturedMesh
+from flx.types import Faces, SurfacePoints, TexturedMesh, Vertices
 
 BACKGROUND = 0.94  # grey, sRGB, from which white glaze stands out
 FIELD_OF_VIEW = 25.0  # degrees
@@ -94,7 +94,7 @@ def show(view: View, mesh: TexturedMesh) -> UInt8[Any, "_ _ 3"]:
 
 
 def _camera(
-    vertices: Float64[Any, "V 3"], azimuth: float | int, elevation: float | int, up: str
+    vertices: Vertices, azimuth: float | int, elevation: float | int, up: str
 ) -> tuple[Float64[Any, "3 3"], Float64[Any, "3"]]:
     """The viewer's axes (right, up, towards the viewer; rows) and eye."""
     middle = (vertices.min(0) + vertices.max(0)) / 2
@@ -110,7 +110,7 @@ def _camera(
 
 
 def _visible(
-    screen: Float64[Any, "V 2"], depths: Float64[Any, "V"], faces: Int[Any, "F 3"], rays: int
+    screen: Float64[Any, "V 2"], depths: Float64[Any, "V"], faces: Faces, rays: int
 ) -> tuple[Int[Any, "P"], SurfacePoints]:
     """The z-buffer: pixels where a face is visible, and the nearest point there.
 

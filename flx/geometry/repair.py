@@ -22,6 +22,7 @@ from flx.geometry.topology import (
     edges_of,
     label_components,
 )
+from flx.types import Faces, Vertices
 
 # Distance below which vertices are welded, as a share of the diagonal: above the round-off of a float64
 # transform, far below one step of float32.
@@ -56,8 +57,8 @@ class TopologyCounts(NamedTuple):
 class Repaired(NamedTuple):
     """A repaired mesh, its topology, and the input face that each of its faces comes from."""
 
-    vertices: Float64[Any, "V 3"]
-    faces: Int[Any, "F 3"]
+    vertices: Vertices
+    faces: Faces
     sources: Int[Any, "F"]
     repairs: Repairs
     topology: TopologyCounts
@@ -110,7 +111,7 @@ def _crowded(points: Float64[Any, "V 3"], radius: float) -> Int[Any, "N"]:
     return np.sort(near)
 
 
-def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
+def repair(points: Float64[Any, "V 3"], faces: Faces) -> Repaired:
     """A manifold, oriented mesh of the same triangles, in the order of the input, by the steps listed above.
 
     The points of faces must be finite. Raises ValueError if no triangle is left.
@@ -156,9 +157,7 @@ def repair(points: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Repaired:
     return Repaired(vertices, compact, sources, repairs, topology_counts(vertices, compact, edges))
 
 
-def topology_counts(
-    vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], edges: Edges | None = None
-) -> TopologyCounts:
+def topology_counts(vertices: Vertices, faces: Faces, edges: Edges | None = None) -> TopologyCounts:
     """Components, boundary and Euler characteristic of a manifold mesh without unused vertices."""
     edges = edges or edges_of(faces, len(vertices))
     ends = edges.ends
@@ -173,7 +172,7 @@ def topology_counts(
     )
 
 
-def _cut(faces: Int[Any, "F 3"]) -> tuple[Int[Any, "F 3"], Int[Any, "V"]]:
+def _cut(faces: Faces) -> tuple[Int[Any, "F 3"], Int[Any, "V"]]:
     """Split vertices until the mesh is manifold: the new faces, and the original of each new vertex.
 
     Vertices stay in the file's order, so later steps read memory in sequence.
@@ -183,7 +182,7 @@ def _cut(faces: Int[Any, "F 3"]) -> tuple[Int[Any, "F 3"], Int[Any, "V"]]:
     return np.argsort(order)[split_faces], origins[order]
 
 
-def _doubled_ears(faces: Int[Any, "F 3"], same: Int[Any, "F"]) -> Bool[Any, "F"]:
+def _doubled_ears(faces: Faces, same: Int[Any, "F"]) -> Bool[Any, "F"]:
     """Pairs of faces with the same corners, attached to a surface that is whole without them.
 
     `same` numbers the sets of corners. Decimation leaves such closed ears at a vertex of valence two. A sheet

@@ -12,17 +12,15 @@ from jaxtyping import Float32, Float64, Int, UInt
 
 from flx.geometry.arrays import area_normals, chunks, dot, face_areas
 from flx.geometry.raster import CHUNK
-from flx.types import Slot, SurfacePoints, TexturedMesh, Triangulation
+from flx.types import Faces, Slot, SurfacePoints, TexturedMesh, Triangulation, Vertices
 
 
-def positions(
-    vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], points: SurfacePoints
-) -> Float64[Any, "P 3"]:
+def positions(vertices: Vertices, faces: Faces, points: SurfacePoints) -> Float64[Any, "P 3"]:
     """The positions of points of a surface in space, in the vertices' units."""
     return np.einsum("pkx,pk->px", vertices[faces[points.faces]], points.barycentrics)
 
 
-def face_normals(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F 3"]:
+def face_normals(vertices: Vertices, faces: Faces) -> Float64[Any, "F 3"]:
     """Unit normals, outward for counter-clockwise faces; zero where a face has no area."""
     normals = area_normals(vertices, faces)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -73,8 +71,8 @@ def surface_colors(
 def locate(
     points: Float64[Any, "P 3"],
     normals: Float64[Any, "P 3"],
-    vertices: Float64[Any, "V 3"],
-    faces: Int[Any, "F 3"],
+    vertices: Vertices,
+    faces: Faces,
 ) -> SurfacePoints:
     """The closest points on a triangulation, on the side that faces the same way as the unit `normals`.
 
@@ -100,9 +98,7 @@ def locate(
     return hits
 
 
-def closest_points(
-    points: Float64[Any, "P 3"], vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]
-) -> SurfacePoints:
+def closest_points(points: Float64[Any, "P 3"], vertices: Vertices, faces: Faces) -> SurfacePoints:
     """The closest points on a triangulation, whichever way it faces there."""
     _, hits, closest = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points), np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int64)

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from flx.geometry.arrays import chunks, length_of, mark, sort_keys
+from flx.types import Faces, Vertices
 
 
 class Edges(NamedTuple):
@@ -65,7 +66,7 @@ class Topology(NamedTuple):
         return np.bincount(self.edges.ravel(), minlength=self.count)
 
 
-def edges_of(faces: Int[Any, "F 3"], count: int) -> Edges:
+def edges_of(faces: Faces, count: int) -> Edges:
     """Edges of any triangles between `count` vertices, from one sort of the corners."""
     keys = np.empty(faces.shape, np.int64)
     for k in range(3):
@@ -77,7 +78,7 @@ def edges_of(faces: Int[Any, "F 3"], count: int) -> Edges:
     return Edges(count, key[first], np.diff(first, append=len(key)), first, corners)
 
 
-def topology(faces: Int[Any, "F 3"], count: int) -> Topology:
+def topology(faces: Faces, count: int) -> Topology:
     """Edges of a manifold mesh of `count` vertices.
 
     Raises ValueError if an edge has more than two faces.
@@ -92,7 +93,7 @@ def topology(faces: Int[Any, "F 3"], count: int) -> Topology:
     return Topology(count, edges.ends, edges.keys, corners, edges.of_faces)
 
 
-def count_disagreeing(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
+def count_disagreeing(faces: Faces, inner: Int[Any, "N 2"]) -> int:
     """The number of edges whose two faces run along them in the same direction, so disagree in orientation.
 
     `inner` holds the two opposite corners of each edge that has two faces.
@@ -102,7 +103,7 @@ def count_disagreeing(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
     return int((corner[after[:, 0]] != corner[before[:, 1]]).sum())
 
 
-def count_fans(faces: Int[Any, "F 3"], inner: Int[Any, "N 2"]) -> int:
+def count_fans(faces: Faces, inner: Int[Any, "N 2"]) -> int:
     """The number of fans of faces, over all vertices, of a mesh whose faces agree in orientation.
 
     `inner` holds the two opposite corners of each edge that has two faces. The corners of a fan form a chain
@@ -130,7 +131,7 @@ def _other_corners(corners):
     return after, 9 * face + 3 - corners - after
 
 
-def edge_lengths(vertices: Float64[Any, "V 3"], topo: Topology) -> Float64[Any, "E"]:
+def edge_lengths(vertices: Vertices, topo: Topology) -> Float64[Any, "E"]:
     lengths = np.empty(len(topo.edges))
     for rows in chunks(len(lengths)):
         a, b = topo.edges[rows].T
@@ -160,7 +161,7 @@ def all_of(marked: Bool[Any, "V"], groups: Int[Any, "N K"]) -> Bool[Any, "N"]:
     return np.logical_and.reduce([np.take(marked, members) for members in groups.T])
 
 
-def invariants(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> str:
+def invariants(vertices: Vertices, faces: Faces) -> str:
     """The topology that remeshing preserves, in words: components, Euler characteristic, boundary loops.
 
     Raises ValueError unless the mesh is manifold, every vertex has one fan and faces agree in orientation.

@@ -15,6 +15,7 @@ from jaxtyping import Float32, Float64, Int
 from flx.assets.formats.files import BadFile, check_faces, numbers
 from flx.assets.formats.parts import Part
 from flx.geometry.arrays import distinct_rows
+from flx.types import Faces
 
 PIECE = 1 << 20  # characters cut into lines at a time
 CHUNK = 1 << 15  # rows handled at a time
@@ -184,7 +185,7 @@ def unmerge(corners: Int[Any, "C K"]) -> tuple[Int[Any, "R K"], Int[Any, "F 3"]]
 
 
 def split_corners(
-    faces: Int[Any, "F 3"], uvs: Float64[Any, "F 3 2"]
+    faces: Faces, uvs: Float64[Any, "F 3 2"]
 ) -> tuple[Int[Any, "R"], Float64[Any, "R 2"], Int[Any, "F 3"]]:
     """A row for each vertex and coordinate that occur together: its vertex, its coordinate, and the faces."""
     first, which = distinct_rows(uvs.reshape(-1, 2))

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from flx.types import Slot
+from flx.types import Faces, Slot
 
 # The values of a material without an image, as an image stores them: a flat normal, no metal, no emission.
 NEUTRAL: dict[Slot, tuple[float, float, float]] = {
@@ -26,7 +26,7 @@ class Part(NamedTuple):
     normals: Float64[Any, "V 3"] | None  # likewise
     uvs: Float64[Any, "V 2"] | None  # right and down
     colors: Float32[Any, "V 3"] | None  # sRGB
-    faces: Int[Any, "F 3"]
+    faces: Faces
     origin: tuple[int, int] = (-1, -1)  # glTF: node, primitive
 
 

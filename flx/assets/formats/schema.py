@@ -1,7 +1,6 @@
 """Checks a glTF document before any of it is used: the types of values, and that indices are in range.
 
-Only what this project reads or writes is checked; extras and unknown extensions are not. A rule is a function
-of a value, its place in words, and the document; it raises BadFile or returns nothing.
+Only what this project reads or writes is checked; extras and unknown extensions are not.
 """
 
 import math
@@ -10,14 +9,19 @@ from typing import Any
 
 from flx.assets.formats.files import BadFile
 
-Rule = Callable[[Any, str, dict], None]
+# What a value must be: {key: rule} for an object, [rule] for a list, or a function of the value and the
+# document, which returns "" or, in words, what it wanted.
+Rule = dict[str, Any] | list[Any] | Callable[[Any, dict], str]
+EACH = "each"  # as the only key of an object's rule: the rule of all its values
 
 
 def check_document(document: Any) -> None:
     """Raises BadFile for a document that is not glTF 2.0, is inconsistent, or requires unknown extensions."""
     if not isinstance(document, dict):
         raise BadFile("its JSON is not an object; export it again as glTF 2.0")
-    _GLTF(document, "", document)
+    _check(document, GLTF, "", document)
+    for index, material in enumerate(document.get("materials", [])):
+        _check_textures(material, f"materials[{index}]", document)
     version = document.get("asset", {}).get("version", "2.0")
     if not version.startswith("2."):
         raise BadFile(f"glTF version {version[:20]!r}; export it again as glTF 2.0")
@@ -26,7 +30,7 @@ def check_document(document: Any) -> None:
     unknown = set(document.get("extensionsRequired", [])) - KNOWN
     if unknown := {name for name in unknown if not name.startswith("KHR_materials_")}:  # only about lighting
         raise BadFile(f"it requires the extension {min(unknown)[:60]!r}; export it without")
-    _check_tree(document)
+    _check_tree(document.get("nodes", []))
 
 
 COMPRESSED = {
@@ -39,174 +43,121 @@ KNOWN = {
 }  # an image that cannot be decoded is refused only if a base colour uses it
 
 
-def _fail(place: str, value: Any, wanted: str) -> BadFile:
-    return BadFile(f"{place or 'the document'} is {repr(value)[:40]}, not {wanted}; export the file again")
+def _check(value: Any, rule: Rule, place: str, document: dict) -> None:
+    """Raises BadFile for a value that breaks its rule, naming its place. Objects may lack any key."""
+    if isinstance(rule, dict):
+        _check(value, _object, place, document)
+        for key, inner in (dict.fromkeys(value, rule[EACH]) if EACH in rule else rule).items():
+            if key in value:
+                _check(value[key], inner, f"{place}.{key[:40]}".lstrip("."), document)
+    elif isinstance(rule, list):
+        _check(value, _list, place, document)
+        for index, child in enumerate(value):
+            _check(child, rule[0], f"{place}[{index}]", document)
+    elif wanted := rule(value, document):
+        found = f"{place or 'the document'} is {repr(value)[:40]}"
+        raise BadFile(f"{found}, not {wanted}; export the file again")
 
 
-def _must(holds: Callable[[Any], bool], wanted: str) -> Rule:
+def _check_textures(value: dict, place: str, document: dict) -> None:
+    """Every texture reference of a material, including those in extensions that are not known here."""
+    for key, child in value.items():
+        if key.endswith("Texture"):
+            _check(child, TEXTURE, f"{place}.{key[:40]}", document)
+        elif isinstance(child, dict) and key != "extras":
+            _check_textures(child, f"{place}.{key[:40]}", document)
+
+
+def _must(holds: Callable[[Any], bool], wanted: str) -> Callable[[Any, dict], str]:
     """The rule that a condition holds for the value; `wanted` says it in words."""
-
-    def rule(value: Any, place: str, document: dict) -> None:
-        if not holds(value):
-            raise _fail(place, value, wanted)
-
-    return rule
+    return lambda value, _: "" if holds(value) else wanted
 
 
-def _one_of(*allowed: Any) -> Rule:
+def _one_of(*allowed: Any) -> Callable[[Any, dict], str]:
     wanted = f"one of {', '.join(map(str, allowed))}"
     return _must(lambda value: type(value) in (int, str) and value in allowed, wanted)
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+def _vector(length: int) -> Callable[[Any, dict], str]:
+    wanted = f"{length} numbers"
+    return _must(lambda v: isinstance(v, list) and len(v) == length and all(map(_is_number, v)), wanted)
+
+
+def _index(key: str) -> Callable[[Any, dict], str]:
+    """The rule that a value is an index into one of the document's lists."""
+
+    def fault(value: Any, document: dict) -> str:
+        known = document.get(key, [])
+        count = len(known) if isinstance(known, list) else 0
+        return "" if type(value) is int and 0 <= value < count else f"one of {count} {key}"
+
+    return fault
 
 
 _object = _must(lambda value: isinstance(value, dict), "an object")
 _list = _must(lambda value: isinstance(value, list), "a list")
 _text = _must(lambda value: isinstance(value, str), "a text")
 _whole = _must(lambda value: type(value) is int and 0 <= value < 1 << 53, "a whole number")
-_number = _must(lambda value: type(value) in (int, float) and math.isfinite(value), "a number")
+_number = _must(_is_number, "a number")
+
+ON_TEXTURE = {"offset": _vector(2), "scale": _vector(2), "rotation": _number, "texCoord": _whole}
+TEXTURE: Rule = {
+    "index": _index("textures"),
+    "texCoord": _whole,
+    "extensions": {"KHR_texture_transform": ON_TEXTURE},
+}
+VIEW = {"bufferView": _index("bufferViews"), "byteOffset": _whole}
+TRANSFORM = {"matrix": _vector(16), "rotation": _vector(4), "scale": _vector(3), "translation": _vector(3)}
+PRIMITIVE = {
+    "attributes": {EACH: _index("accessors")},
+    "indices": _index("accessors"),
+    "material": _index("materials"),
+    "mode": _one_of(*range(7)),
+}
+ACCESSOR = {
+    **VIEW,
+    "count": _whole,
+    "componentType": _one_of(5120, 5121, 5122, 5123, 5125, 5126),
+    "type": _one_of("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"),
+    "sparse": {
+        "count": _whole,
+        "indices": {**VIEW, "componentType": _one_of(5121, 5123, 5125)},
+        "values": VIEW,
+    },
+}
+PBR = {"baseColorFactor": _vector(4)}
+SOURCE = {"source": _index("images")}
+GLTF: Rule = {
+    "asset": {"version": _text},
+    "extensionsUsed": [_text],
+    "extensionsRequired": [_text],
+    "scene": _index("scenes"),
+    "scenes": [{"nodes": [_index("nodes")]}],
+    "nodes": [{"mesh": _index("meshes"), "children": [_index("nodes")], **TRANSFORM}],
+    "meshes": [{"name": _text, "primitives": [PRIMITIVE]}],
+    "materials": [{"name": _text, "pbrMetallicRoughness": PBR, "extensions": {EACH: _object}}],
+    "textures": [{**SOURCE, "extensions": {EACH: SOURCE}}],
+    "images": [{"name": _text, "uri": _text, "mimeType": _text, "bufferView": _index("bufferViews")}],
+    "accessors": [ACCESSOR],
+    "bufferViews": [
+        {"buffer": _index("buffers"), **dict.fromkeys(("byteOffset", "byteLength", "byteStride"), _whole)}
+    ],
+    "buffers": [{"uri": _text, "byteLength": _whole}],
+}
 
 
-def _record(**rules: Rule) -> Rule:
-    def rule(value: Any, place: str, document: dict) -> None:
-        _object(value, place, document)
-        for key, inner in rules.items():
-            if key in value:
-                inner(value[key], f"{place}.{key}".lstrip("."), document)
-
-    return rule
-
-
-def _values(inner: Rule) -> Rule:
-    def rule(value: Any, place: str, document: dict) -> None:
-        _object(value, place, document)
-        for key, child in value.items():
-            inner(child, f"{place}.{key[:40]}", document)
-
-    return rule
-
-
-def _many(inner: Rule) -> Rule:
-    def rule(value: Any, place: str, document: dict) -> None:
-        _list(value, place, document)
-        for index, child in enumerate(value):
-            inner(child, f"{place}[{index}]", document)
-
-    return rule
-
-
-def _index(key: str) -> Rule:
-    def rule(value: Any, place: str, document: dict) -> None:
-        known = document.get(key, [])
-        count = len(known) if isinstance(known, list) else 0
-        if type(value) is not int or not 0 <= value < count:
-            raise _fail(place, value, f"one of {count} {key}")
-
-    return rule
-
-
-def _vector(length: int) -> Rule:
-    def rule(value: Any, place: str, document: dict) -> None:
-        if not isinstance(value, list) or len(value) != length:
-            raise _fail(place, value, f"{length} numbers")
-        for child in value:
-            _number(child, place, document)
-
-    return rule
-
-
-_SLOT = _record(
-    index=_index("textures"),
-    texCoord=_whole,
-    extensions=_record(
-        KHR_texture_transform=_record(offset=_vector(2), scale=_vector(2), rotation=_number, texCoord=_whole)
-    ),
-)
-
-
-def _slots(value: Any, place: str, document: dict) -> None:
-    """Every texture reference of a material, including those in extensions that are not known here."""
-    _object(value, place, document)
-    for key, child in value.items():
-        if key.endswith("Texture"):
-            _SLOT(child, f"{place}.{key[:40]}", document)
-        elif isinstance(child, dict) and key != "extras":
-            _slots(child, f"{place}.{key[:40]}", document)
-
-
-_MATERIAL = _record(
-    name=_text, pbrMetallicRoughness=_record(baseColorFactor=_vector(4)), extensions=_values(_object)
-)
-
-
-def _material(value: Any, place: str, document: dict) -> None:
-    _slots(value, place, document)
-    _MATERIAL(value, place, document)
-
-
-_VIEW = _index("bufferViews")
-_SOURCE = _record(source=_index("images"))
-_GLTF = _record(
-    asset=_record(version=_text),
-    extensionsUsed=_many(_text),
-    extensionsRequired=_many(_text),
-    scene=_index("scenes"),
-    scenes=_many(_record(nodes=_many(_index("nodes")))),
-    nodes=_many(
-        _record(
-            mesh=_index("meshes"),
-            children=_many(_index("nodes")),
-            matrix=_vector(16),
-            rotation=_vector(4),
-            scale=_vector(3),
-            translation=_vector(3),
-        )
-    ),
-    meshes=_many(
-        _record(
-            name=_text,
-            primitives=_many(
-                _record(
-                    attributes=_values(_index("accessors")),
-                    indices=_index("accessors"),
-                    material=_index("materials"),
-                    mode=_one_of(*range(7)),
-                )
-            ),
-        )
-    ),
-    materials=_many(_material),
-    textures=_many(_record(source=_index("images"), extensions=_values(_SOURCE))),
-    images=_many(_record(name=_text, uri=_text, mimeType=_text, bufferView=_VIEW)),
-    accessors=_many(
-        _record(
-            bufferView=_VIEW,
-            byteOffset=_whole,
-            count=_whole,
-            componentType=_one_of(5120, 5121, 5122, 5123, 5125, 5126),
-            type=_one_of("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"),
-            sparse=_record(
-                count=_whole,
-                indices=_record(bufferView=_VIEW, byteOffset=_whole, componentType=_one_of(5121, 5123, 5125)),
-                values=_record(bufferView=_VIEW, byteOffset=_whole),
-            ),
-        )
-    ),
-    bufferViews=_many(
-        _record(buffer=_index("buffers"), byteOffset=_whole, byteLength=_whole, byteStride=_whole)
-    ),
-    buffers=_many(_record(uri=_text, byteLength=_whole)),
-)
-
-
-def _check_tree(document: dict) -> None:
+def _check_tree(nodes: list[dict]) -> None:
     """Nodes form trees (glTF 2.0, section 3.5.2): none has two parents, and none is its own ancestor."""
-    nodes = document.get("nodes", [])
     parent: dict[int, int] = {}
     for index, node in enumerate(nodes):
         for child in node.get("children", []):
             if child in parent:
-                raise BadFile(
-                    f"node {child} is a child twice, of {parent[child]} and {index}; export it again"
-                )
+                parents = f"{parent[child]} and {index}"
+                raise BadFile(f"node {child} is a child twice, of {parents}; export it again")
             parent[child] = index
     checked: set[int] = set()
     for start in parent:

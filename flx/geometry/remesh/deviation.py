@@ -14,7 +14,7 @@ from flx.geometry.remesh.features import features
 from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import sharpest_cosines
 from flx.geometry.topology import any_of, topology
-from flx.types import Triangulation
+from flx.types import Faces, Triangulation, Vertices
 
 EASY = 0.7  # distance, in allowed gaps, up to which nothing is penalised
 # Distances, in allowed gaps, beyond which the surface is also sampled at edge middles, and inside faces.
@@ -51,9 +51,9 @@ class FaceQuality(NamedTuple):
 class MeasuredMesh(NamedTuple):
     """A mesh measured against its surface; all arrays are changed in place."""
 
-    vertices: Float64[Any, "V 3"]
+    vertices: Vertices
     kind: Int[Any, "V"]  # 0 on a face, 1 on a curve, 2 at a corner (see `features`)
-    faces: Int[Any, "F 3"]
+    faces: Faces
     quality: FaceQuality
     probes: Float64[Any, "N 3"]  # sample points of the surface
     gaps: Float64[Any, "N"]  # distances of the probes from the mesh
@@ -92,9 +92,7 @@ def measure_mesh(mesh: Triangulation, surface: ReferenceSurface, gap: float) -> 
     return MeasuredMesh(vertices, kind, faces, quality, *_probed(vertices, faces, surface, gap))
 
 
-def measure_faces(
-    vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], surface: ReferenceSurface, gap: float
-) -> FaceQuality:
+def measure_faces(vertices: Vertices, faces: Faces, surface: ReferenceSurface, gap: float) -> FaceQuality:
     """The quality of faces, sampled more finely where a first look finds them beyond `EASY`."""
     apart = _distances(vertices, faces, LATTICE, surface) / gap
     sags, excess = apart.max(1), _beyond(apart)
@@ -105,7 +103,7 @@ def measure_faces(
 
 
 def distances_to_mesh(
-    points: Float64[Any, "N 3"], vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]
+    points: Float64[Any, "N 3"], vertices: Vertices, faces: Faces
 ) -> tuple[Float64[Any, "N"], Int[Any, "N"]]:
     """The distance of each point from a mesh, in its units, and the closest face."""
     square, face, _ = igl.point_mesh_squared_distance(points, vertices, faces)

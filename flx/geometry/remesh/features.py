@@ -7,13 +7,14 @@ from jaxtyping import Bool, Float64, Int
 
 from flx.geometry.arrays import area_normals, chunks, dot, length_of, sum_at, unit_vectors
 from flx.geometry.topology import Topology, label_components
+from flx.types import Faces, Vertices
 
 CREASE_COSINE = np.cos(np.radians(60.0))  # faces that bend more than 60° meet in a crease
 CURVE = 4  # least number of edges in a crease
 
 
 def features(
-    vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], topo: Topology, least: int = CURVE
+    vertices: Vertices, faces: Faces, topo: Topology, least: int = CURVE
 ) -> tuple[Bool[Any, "E"], Int[Any, "V"]]:
     """Which edges are features, and the kind of each vertex: 0 on a face, 1 on a curve, 2 at a corner.
 

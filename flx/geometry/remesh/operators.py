@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float64, Int
 from flx.geometry.arrays import area_normals, cross, dot, length_of, mark, unit_vectors
 from flx.geometry.remesh.features import features
 from flx.geometry.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, topology
-from flx.types import Triangulation
+from flx.types import Faces, Triangulation
 
 CAP = np.radians(160.0)  # a face with a larger angle has no reliable normal
 UNPROTECTED = 0.3  # length, in shortest edge lengths, below which an edge may collapse across a crease
@@ -244,9 +244,7 @@ def flip_edges(mesh: Triangulation, rng: np.random.Generator, delaunay: bool, pa
     return Triangulation(vertices, faces)
 
 
-def edge_quads(
-    topo: Topology, faces: Int[Any, "F 3"], edges: Int[Any, "N"]
-) -> tuple[Int[Any, "N 4"], Int[Any, "N 2"]]:
+def edge_quads(topo: Topology, faces: Faces, edges: Int[Any, "N"]) -> tuple[Int[Any, "N 4"], Int[Any, "N 2"]]:
     """For inner edges a-b, the vertices a, b, p, q of their faces (p, a, b) and (q, b, a), and the faces."""
     rows, corner = topo.corners[edges] // 3, topo.corners[edges, 0] % 3
     p, q = faces.ravel()[topo.corners[edges].T]

@@ -7,17 +7,14 @@ follow splits, collapses, flips, smoothing and projection (Botsch & Kobbelt 2004
 multiresolution modeling").
 """
 
-from typing import Any
-
 import numpy as np
-from jaxtyping import Float64, Int
 
 from flx.geometry.arrays import area_normals, length_of, mark
 from flx.geometry.remesh.finishing import finish
 from flx.geometry.remesh.operators import NONE_REFUSED, collapse_edges, flip_edges, split_edges
 from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
 from flx.geometry.topology import edge_lengths, invariants, topology
-from flx.types import Triangulation
+from flx.types import Faces, Triangulation, Vertices
 
 COARSENING = 1.4  # edge length of the random coarse mesh, in wanted edge lengths; at 1.0 copies share 74 %
 ROUNDS = 2  # rounds of split, collapse, flip and smooth
@@ -25,7 +22,7 @@ FEW = 0.015  # share of the vertices; a round with fewer collapses than this is 
 LONGEST, SHORTEST = 4 / 3, 0.8  # edges are split above, collapsed below, in wanted lengths (Botsch & Kobbelt)
 
 
-def remesh(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], count: int, seed: int) -> Triangulation:
+def remesh(vertices: Vertices, faces: Faces, count: int, seed: int) -> Triangulation:
     """An isotropic triangulation of a surface with exactly `count` vertices, a different one for each seed.
 
     The input is a manifold, consistently oriented mesh, open or closed, of any density. Components, Euler

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64, Int
 from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors, vertex_normals
 from flx.geometry.remesh.features import CURVE, bends, features, long_curves
 from flx.geometry.topology import edge_lengths, topology
-from flx.types import Triangulation
+from flx.types import Faces, Triangulation, Vertices
 
 GAP = 0.42  # widest gap allowed between mesh and surface, in wanted edge lengths
 # Upper bound of that limit, in units of diagonal / √area: 0.27 % of the diagonal at 30,000 vertices. It
@@ -26,7 +26,7 @@ class ReferenceSurface:
     with the normals `outward`.
     """
 
-    def __init__(self, vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], length: float):
+    def __init__(self, vertices: Vertices, faces: Faces, length: float):
         topo = topology(faces, len(vertices))
         feature = features(vertices, faces, topo, 1)[0]
         creases = np.flatnonzero(feature & ~topo.boundary)

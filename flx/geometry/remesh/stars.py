@@ -7,12 +7,13 @@ from jaxtyping import Bool, Float64, Int
 
 from flx.geometry.arrays import area_normals, dot, mark, squared_sides, sum_at, unit_vectors
 from flx.geometry.topology import Topology
+from flx.types import Faces, Vertices
 
 
 class Stars:
     """The faces around each of the vertices `centers`, no two of which are adjacent."""
 
-    def __init__(self, vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"], centers: Int[Any, "N"]):
+    def __init__(self, vertices: Vertices, faces: Faces, centers: Int[Any, "N"]):
         owner = np.full(len(vertices), -1)  # the star of each vertex that is a centre, else -1
         owner[centers] = np.arange(len(centers))
         owners = np.maximum.reduce([np.take(owner, faces[:, k]) for k in range(3)])
@@ -22,7 +23,7 @@ class Stars:
         self.normals = unit_vectors(sum_at(self.owners[:, None], self.face_normals, self.size))
         self.centers = centers
 
-    def middles(self, vertices: Float64[Any, "V 3"]) -> Float64[Any, "N 3"]:
+    def middles(self, vertices: Vertices) -> Float64[Any, "N 3"]:
         """The mean of each centre's neighbours; the centres must be interior vertices."""
         corners = np.take(vertices, self.faces, 0).sum(1) - vertices[self.centers[self.owners]]
         sums = sum_at(self.owners[:, None], corners, self.size)
@@ -58,12 +59,12 @@ def independent(topo: Topology, candidates: Int[Any, "N"], rank: Int[Any, "N"]) 
     return ~mark(len(candidates) + 1, beaten)[rank]
 
 
-def sharpest_cosines(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
+def sharpest_cosines(vertices: Vertices, faces: Faces) -> Float64[Any, "F"]:
     """The cosine of each face's smallest angle."""
     sides = np.sort(squared_sides(vertices, faces), axis=0)
     return (sides[1] + sides[2] - sides[0]) / (2 * np.sqrt(sides[1] * sides[2]) + 1e-300)
 
 
-def longest_sides(vertices: Float64[Any, "V 3"], faces: Int[Any, "F 3"]) -> Float64[Any, "F"]:
+def longest_sides(vertices: Vertices, faces: Faces) -> Float64[Any, "F"]:
     """The length of each face's longest side."""
     return np.sqrt(squared_sides(vertices, faces).max(0))

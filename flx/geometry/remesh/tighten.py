@@ -9,7 +9,7 @@ random for moves and flips that close the remaining gaps.
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int
+from jaxtyping import Bool, Int
 
 from flx.geometry.arrays import area_normals, dot, length_of, mark, sum_at, unit_vectors
 from flx.geometry.remesh.deviation import EASY, distances_to_mesh, measure_faces, measure_mesh
@@ -17,7 +17,7 @@ from flx.geometry.remesh.operators import disjoint, edge_quads, flipped, ranks
 from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import Stars, independent, largest, longest_sides, sharpest_cosines
 from flx.geometry.topology import all_of, any_of, has_edge, topology
-from flx.types import Triangulation
+from flx.types import Triangulation, Vertices
 
 LAPS, TRIES = 30, 8  # laps over the bad places of a mesh, and attempts at each place in a lap
 SHARP_LAPS = 2  # laps in which faces that are merely sharp count as bad too
@@ -113,7 +113,7 @@ def tighten(
 class Change(NamedTuple):
     """A proposed change to patches of a mesh, no two of which share a face."""
 
-    vertices: Float64[Any, "V 3"]  # of the whole mesh, after the change
+    vertices: Vertices  # of the whole mesh, after the change
     rows: Int[Any, "n"]  # indices of the faces that change
     faces: Int[Any, "n 3"]  # their new corners
     owners: Int[Any, "n"]  # the patch of each
