@@ -82,21 +82,25 @@ def stack(tables: Sequence[MeshTables]) -> MeshTables:
     A spare vertex has mass 0 and only itself as neighbour. A spare fine vertex has coarse vertex 0 as parent
     but is not among its children; a spare coarse vertex has fine vertex 0 as centre and children of weight 0.
     """
-    vertices = max(len(t.fine.masses) for t in tables)
-    clusters = max(len(t.coarse.masses) for t in tables)
-    rings = max(t.fine.neighbors.shape[1] for t in tables)
-    coarse_rings = max(t.coarse.neighbors.shape[1] for t in tables)
-    children = max(t.pooling.children.shape[1] for t in tables)
-    padded = [
-        MeshTables(
-            _pad_rings(t.fine, vertices, rings),
-            _pad_pooling(t.pooling, vertices, clusters, children),
-            _pad_rings(t.coarse, clusters, coarse_rings),
-        )
-        for t in tables
-    ]
-    parts = zip(*padded, strict=True)
-    return MeshTables._make(part[0]._make(map(np.stack, zip(*part, strict=True))) for part in parts)
+    return MeshTables._make(_stacked(parts) for parts in zip(*tables, strict=True))
+
+
+def _stacked(parts: tuple[Any, ...]) -> Any:
+    """The rings or the poolings of all copies, each array padded to the largest shape."""
+    fields: dict[str, np.ndarray] = {}
+    for name, arrays in zip(parts[0]._fields, zip(*parts, strict=True), strict=True):
+        shape = (len(arrays), *np.max([array.shape for array in arrays], axis=0))
+        filled = np.full(shape, name in ("transports", "child_transports"), arrays[0].dtype)
+        if name == "neighbors":
+            filled[:] = np.arange(shape[1])[:, None]
+        elif name == "reverse":
+            filled[:] = np.arange(shape[2])
+        elif name == "children":
+            filled[:] = fields["centers"][..., None]
+        for copy, array in zip(filled, arrays, strict=True):
+            copy[tuple(map(slice, array.shape))] = array
+        fields[name] = filled
+    return type(parts[0])(**fields)
 
 
 # ---- padded rings --------------------------------------------------------------------------------------
@@ -293,38 +297,3 @@ def _coarse_rings(frames: TangentFrames, forest: _Forest, slots: int) -> OneRing
 def _rank_in_group(groups: Int[Any, "N"]) -> Int[Any, "N"]:
     """0, 1, 2, … within each run of equal values of a sorted array."""
     return np.arange(len(groups)) - np.searchsorted(groups, groups)
-
-
-# ---- padding copies to one shape -----------------------------------------------------------------------
-
-
-def _pad_rings(rings: OneRings, count: int, width: int) -> OneRings:
-    v, k = rings.neighbors.shape
-    neighbors, reverse = np.indices((count, width), np.int32)
-    neighbors[:v, :k], reverse[:v, :k] = rings.neighbors, rings.reverse
-    padding = ((0, count - v), (0, width - k))
-    return OneRings(
-        neighbors,
-        reverse,
-        np.pad(rings.logs, padding),
-        np.pad(rings.transports, padding, constant_values=1),
-        np.pad(rings.weights, padding),
-        np.pad(rings.masses, padding[0]),
-    )
-
-
-def _pad_pooling(pooling: Pooling, vertices: int, clusters: int, width: int) -> Pooling:
-    v = len(pooling.parents)
-    w, m = pooling.children.shape
-    padding = ((0, clusters - w), (0, width - m))
-    centers = np.pad(pooling.centers, padding[0])
-    children = np.repeat(centers[:, None], width, axis=1)
-    children[:w, :m] = pooling.children
-    return Pooling(
-        centers,
-        np.pad(pooling.parents, (0, vertices - v)),
-        np.pad(pooling.transports, (0, vertices - v), constant_values=1),
-        children,
-        np.pad(pooling.child_transports, padding, constant_values=1),
-        np.pad(pooling.child_weights, padding),
-    )
