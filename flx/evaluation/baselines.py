@@ -53,7 +53,7 @@ def vertex_colours(subject: Subject) -> Painter:
     vertices, corners = np.unique(triangulation.faces, return_index=True)
     points = SurfacePoints(corners // 3, np.eye(3)[corners % 3])
     colors = np.zeros((len(triangulation.vertices), 3), np.float32)
-    colors[vertices] = surface_colors(mesh, transfer(points, *triangulation, mesh.vertices, mesh.faces))
+    colors[vertices] = surface_colors(mesh, transfer(points, triangulation, mesh))
     return lambda points: np.einsum("pkc,pk->pc", colors[points.vertices], points.barycentrics)
 
 

@@ -35,7 +35,7 @@ def intrinsic_field(subject: Subject) -> Painter:
     rng = np.random.default_rng(0)
     points, _ = ring_points(subject.triangulation, SAMPLES, rng)
     mesh = subject.mesh
-    hits = transfer(points, *subject.triangulation, mesh.vertices, mesh.faces)
+    hits = transfer(points, subject.triangulation, mesh)
     corners = jnp.asarray(subject.triangulation.faces[points.faces], jnp.int32)
     data = (corners, jnp.asarray(points.barycentrics, jnp.float32), jnp.asarray(surface_colors(mesh, hits)))
     model = RealMLP(WIDTHS)

@@ -36,7 +36,7 @@ def make_copy(mesh: TexturedMesh, vertices: int, samples: int, slots: int, seed:
 def sample_rings(mesh: TexturedMesh, triangulation: Triangulation, samples: int, seed: int) -> RingSamples:
     """Colours of `mesh` at points uniform by area in each one-ring of the copy."""
     points, logs = points_in_rings(triangulation, samples, np.random.default_rng(seed))
-    hits = transfer(points, triangulation.vertices, triangulation.faces, mesh.vertices, mesh.faces)
+    hits = transfer(points, triangulation, mesh)
     return RingSamples(logs, surface_colors(mesh, hits).reshape(*logs.shape, 3))
 
 
@@ -52,20 +52,11 @@ def points_in_rings(
     return points, logs.reshape(corners.shape)
 
 
-def queries(mesh: TexturedMesh, points: SurfacePoints, triangulation: Triangulation) -> Queries:
-    """What the decoder needs for points of the mesh: each seen from the corners of a face of the copy."""
-    hits = transfer(points, mesh.vertices, mesh.faces, triangulation.vertices, triangulation.faces)
-    return queries_at(hits, triangulation, tangent_frames(triangulation))
-
-
 def queries_at(hits: SurfacePoints, triangulation: Triangulation, frames: TangentFrames) -> Queries:
-    """`queries` for points that are already on the copy."""
-    logs = corner_logs(frames, triangulation, hits.faces, hits.barycentrics)
-    return Queries(
-        triangulation.faces[hits.faces].astype(np.int32),
-        logs.astype(np.complex64),
-        hits.barycentrics.astype(np.float32),
-    )
+    """What the decoder needs for points of the copy: each seen from the corners of its face."""
+    corners = triangulation.faces[hits.faces].astype(np.int32)
+    logs = corner_logs(frames, triangulation, hits.faces, hits.barycentrics).astype(np.complex64)
+    return Queries(corners, logs, hits.barycentrics.astype(np.float32))
 
 
 _mesh: TexturedMesh | None = None  # the mesh that this worker process copies

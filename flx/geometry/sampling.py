@@ -14,9 +14,12 @@ from flx.geometry.arrays import area_normals, chunks, dot, face_areas
 from flx.geometry.raster import CHUNK
 from flx.types import Faces, Slot, SurfacePoints, TexturedMesh, Triangulation, Vertices
 
+Surface = TexturedMesh | Triangulation
+Places = Float64[Any, "P 3"]  # in space, in the units of the vertices
 
-def positions(vertices: Vertices, faces: Faces, points: SurfacePoints) -> Float64[Any, "P 3"]:
-    """The positions of points of a surface in space, in the vertices' units."""
+
+def positions(vertices: Vertices, faces: Faces, points: SurfacePoints) -> Places:
+    """The positions of points of a surface in space."""
     return np.einsum("pkx,pk->px", vertices[faces[points.faces]], points.barycentrics)
 
 
@@ -68,20 +71,15 @@ def surface_colors(
     return colors
 
 
-def locate(
-    points: Float64[Any, "P 3"],
-    normals: Float64[Any, "P 3"],
-    vertices: Vertices,
-    faces: Faces,
-) -> SurfacePoints:
-    """The closest points on a triangulation, on the side that faces the same way as the unit `normals`.
+def locate(places: Places, normals: Places, vertices: Vertices, faces: Faces) -> SurfacePoints:
+    """The points of a triangulation closest to places, on the side that faces as the unit `normals` do.
 
     On a thin wall the closest face may be on the far side. If its normal opposes the point's, the search is
     repeated among faces that agree. Opposed points are grouped by the nearest of 26 directions; the faces
     searched are close enough to that direction to agree with every point of the group. Without such a face,
     the first hit stays.
     """
-    hits = closest_points(points, vertices, faces)
+    hits = closest_points(places, vertices, faces)
     targets = face_normals(vertices, faces)
     opposed = np.flatnonzero(dot(targets[hits.faces], normals) < 0)
     grid = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1
@@ -93,24 +91,24 @@ def locate(
         spread = np.sqrt(np.maximum(1 - cosines[members, group].min() ** 2, 0))
         agreeing, members = np.flatnonzero(targets @ directions[group] > spread), opposed[members]
         if len(agreeing):
-            again = closest_points(points[members], vertices, faces[agreeing])
+            again = closest_points(places[members], vertices, faces[agreeing])
             hits.faces[members], hits.barycentrics[members] = agreeing[again.faces], again.barycentrics
     return hits
 
 
-def closest_points(points: Float64[Any, "P 3"], vertices: Vertices, faces: Faces) -> SurfacePoints:
+def closest_points(places: Places, vertices: Vertices, faces: Faces) -> SurfacePoints:
     """The closest points on a triangulation, whichever way it faces there."""
     _, hits, closest = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(points), np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int64)
+        np.ascontiguousarray(places), np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int64)
     )
     faces_hit = np.ravel(hits).astype(np.int64)  # libigl returns another 64-bit integer type
-    closest, barycentrics = np.asarray(closest).reshape(-1, 3), np.empty((len(points), 3))
-    for part in chunks(len(points), CHUNK):
+    closest, barycentrics = np.asarray(closest).reshape(-1, 3), np.empty((len(places), 3))
+    for part in chunks(len(places), CHUNK):
         barycentrics[part] = _barycentrics(closest[part], vertices[faces[faces_hit[part]]])
     return SurfacePoints(faces_hit, barycentrics)
 
 
-def _barycentrics(points: Float64[Any, "P 3"], corners: Float64[Any, "P 3 3"]) -> Float64[Any, "P 3"]:
+def _barycentrics(points: Places, corners: Float64[Any, "P 3 3"]) -> Float64[Any, "P 3"]:
     """The barycentrics of points, each on a triangle of its own."""
     a, b, c = np.moveaxis(corners, 1, 0)
     ab, ac, ap = b - a, c - a, points - a
@@ -145,13 +143,8 @@ def ring_points(
     return SurfacePoints(picked.ravel() // 3, barycentrics), picked % 3
 
 
-def transfer(
-    points: SurfacePoints,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    onto_vertices: np.ndarray,
-    onto_faces: np.ndarray,
-) -> SurfacePoints:
+def transfer(points: SurfacePoints, source: Surface, target: Surface) -> SurfacePoints:
     """The closest points of another triangulation that face the same way."""
-    normals = face_normals(vertices, faces)[points.faces]
-    return locate(positions(vertices, faces, points), normals, onto_vertices, onto_faces)
+    normals = face_normals(source.vertices, source.faces)[points.faces]
+    places = positions(source.vertices, source.faces, points)
+    return locate(places, normals, target.vertices, target.faces)

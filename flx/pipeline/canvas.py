@@ -51,7 +51,7 @@ def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | 
     count = sum(int(atlas.covered.sum()) for atlas in atlases if atlas) or len(_vertex_points(asset)[0])
     faces, barycentrics, start = np.empty(count, np.int32), np.empty((count, 3), np.float32), 0
     for points in _shown_points(asset, atlases):
-        hits = transfer(points, mesh.vertices, mesh.faces, triangulation.vertices, triangulation.faces)
+        hits = transfer(points, mesh, triangulation)
         chunk = slice(start, start + len(hits.faces))
         faces[chunk], barycentrics[chunk] = hits
         start = chunk.stop

@@ -22,10 +22,12 @@ from helpers.surfaces import (
     three_touching_boxes,
 )
 
-from flx.geometry.copies import queries, sample_rings
+from flx.geometry.copies import queries_at, sample_rings
 from flx.geometry.remesh.remesh import remesh
 from flx.geometry.repair import repair
+from flx.geometry.sampling import transfer
 from flx.geometry.tables import mesh_tables
+from flx.geometry.tangent import tangent_frames
 from flx.types import SurfacePoints, Triangulation
 
 
@@ -58,7 +60,7 @@ def test_nothing_jumps_through_a_thin_wall(thickness):
     np.testing.assert_allclose(rings.colors[deep], painted[deep], atol=1e-6)
 
     middles = SurfacePoints(np.arange(len(mesh.faces)), np.full((len(mesh.faces), 3), 1 / 3))
-    asked = queries(mesh, middles, copy)
+    asked = queries_at(transfer(middles, mesh, copy), copy, tangent_frames(copy))
     where = mesh.vertices[mesh.faces].mean(1)
     below = np.abs(where[:, 2] + 0.8) < 0.8 - 2.5 * h
     side = np.where(mesh.corner_colors[:, 0, 0] > 0.5, 1, -1)

@@ -3,7 +3,9 @@
 import numpy as np
 
 from flx.evaluation.baselines import Subject
-from flx.geometry.copies import queries, sample_rings
+from flx.geometry.copies import queries_at, sample_rings
+from flx.geometry.sampling import transfer
+from flx.geometry.tangent import tangent_frames
 from flx.types import Layer, Queries, SurfacePoints, TexturedMesh, Triangulation
 
 SLOPES = np.array([[0.5, -0.2, 0.1], [0.1, 0.4, -0.3], [0.2, 0.1, 0.2]])
@@ -29,7 +31,9 @@ def subject(
     points = SurfacePoints(rng.integers(0, faces, 500), rng.dirichlet(np.ones(3), 500))
     truth = np.einsum("pkc,pk->pc", mesh.corner_colors[points.faces], points.barycentrics)
     rings = sample_rings(mesh, triangulation, 64, 0)
-    return Subject(mesh, triangulation, rings), queries(mesh, points, triangulation), truth
+    hits = transfer(points, mesh, triangulation)
+    asked = queries_at(hits, triangulation, tangent_frames(triangulation))
+    return Subject(mesh, triangulation, rings), asked, truth
 
 
 def rms(a: np.ndarray, b: np.ndarray) -> float:

@@ -47,7 +47,8 @@ def _check(value: Any, rule: Rule, place: str, document: dict) -> None:
     """Raises BadFile for a value that breaks its rule, naming its place. Objects may lack any key."""
     if isinstance(rule, dict):
         _check(value, _object, place, document)
-        for key, inner in (dict.fromkeys(value, rule[EACH]) if EACH in rule else rule).items():
+        rules: dict[str, Any] = dict.fromkeys(value, rule[EACH]) if EACH in rule else rule
+        for key, inner in rules.items():
             if key in value:
                 _check(value[key], inner, f"{place}.{key[:40]}".lstrip("."), document)
     elif isinstance(rule, list):
