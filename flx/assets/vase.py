@@ -6,12 +6,13 @@ colour depends only on its place in space, so the seams between the five charts 
 covers everything at one scale, 2 to 12 % of the height; no stroke is thinner than about 1 %.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import igl
 import numpy as np
-from jaxtyping import Float32, Float64, Int
+from jaxtyping import Float32, Float64
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial import KDTree
@@ -25,8 +26,8 @@ from flx.assets.formats.parts import Paint, Part
 from flx.assets.formats.readers import gltf_contents
 from flx.geometry.arrays import face_areas
 from flx.geometry.atlas import atlas_texels, paint
-from flx.geometry.sampling import face_normals, positions
-from flx.types import Layer, SurfacePoints, TexturedMesh
+from flx.geometry.sampling import Places, face_normals, positions
+from flx.types import Faces, Layer, SurfacePoints, TexturedMesh, Vertices
 
 TEXTURE = 1024  # texels along each side
 SPACING = 0.02  # of vertices along the profile and around the belly
@@ -83,6 +84,8 @@ def vase_asset() -> Asset:
 
 # --- the shape
 
+Uvs = Float64[Any, "F 3 2"]
+
 
 def _profile() -> tuple[Float64[Any, "M 2"], Float64[Any, "M"]]:
     """(radius, height) at equal steps of the profile, and the length so far."""
@@ -97,9 +100,9 @@ def _profile() -> tuple[Float64[Any, "M 2"], Float64[Any, "M"]]:
     return profile, steps
 
 
-def _lathe() -> tuple[Float64[Any, "V 3"], Int[Any, "F 3"], Float64[Any, "F 3 2"]]:
+def _lathe() -> tuple[Vertices, Faces, Uvs]:
     """The surface of revolution: vertices, faces and the UVs of their corners."""
-    profile, lengths = _profile()
+    profile, _ = _profile()
     around = 4 * round(2 * np.pi * profile[:, 0].max() / SPACING / 4)
     inner = len(profile) - 2  # rings of vertices between the two poles
     angles = 2 * np.pi * np.arange(around) / around
@@ -120,20 +123,15 @@ def _lathe() -> tuple[Float64[Any, "V 3"], Int[Any, "F 3"], Float64[Any, "F 3 2"
     step, turn = corners[..., 0], corners[..., 1]  # of each face's corners
     faces = (step - 1) * around + turn % around
     faces = np.where(step == 0, len(vertices) - 2, np.where(step == inner + 1, len(vertices) - 1, faces))
-    return vertices, faces, _unwrap(profile, lengths, step, turn, around)
+    return vertices, faces, _unwrap(step, turn, around)
 
 
-def _unwrap(
-    profile: Float64[Any, "M 2"],
-    lengths: Float64[Any, "M"],
-    step: Int[Any, "F 3"],
-    turn: Int[Any, "F 3"],
-    around: int,
-) -> Float64[Any, "F 3 2"]:
+def _unwrap(step: Faces, turn: Faces, around: int) -> Uvs:
     """Five charts, none mirrored: two halves of the outside, the well, the foot, the well's floor.
 
     The sides keep areas: x = angle · radius, y = length along the profile. Foot and floor are discs.
     """
+    profile, lengths = _profile()
     foot = np.flatnonzero(profile[:, 1] < 0.012)[-1]  # the outer rim of the foot
     lip = profile[:, 1].argmax()
     floor = len(profile) - 1 - round(0.10 / SPACING)
@@ -152,18 +150,18 @@ def _unwrap(
     return _pack(charts)
 
 
-def _pack(charts: list[tuple[Any, Float64[Any, "F 3 2"]]]) -> Float64[Any, "F 3 2"]:
+def _pack(charts: list[tuple[Any, Uvs]]) -> Uvs:
     """The first two charts side by side, the others in a row below, all at one scale inside [0, 1]."""
     gutter = 0.03
     uvs = np.empty_like(charts[0][1])
-    x, y, below, right = gutter, gutter, 0.0, 0.0
-    for number, (chosen, chart) in enumerate(charts):
-        low, high = chart[chosen].min((0, 1)), chart[chosen].max((0, 1))
-        if number == 2:
-            x, y = gutter, below + gutter
-        uvs[chosen] = chart[chosen] - low + [x, y]
-        x += high[0] - low[0] + gutter
-        below, right = max(below, y + high[1] - low[1]), max(right, x)
+    below, right = 0.0, 0.0
+    for row in (charts[:2], charts[2:]):
+        x, y = gutter, below + gutter
+        for chosen, chart in row:
+            low, high = chart[chosen].min((0, 1)), chart[chosen].max((0, 1))
+            uvs[chosen] = chart[chosen] - low + [x, y]
+            x += high[0] - low[0] + gutter
+            below, right = max(below, y + high[1] - low[1]), max(right, x)
     return uvs / max(below + gutter, right)
 
 
@@ -193,9 +191,7 @@ MOTIFS = (
 )
 
 
-def _glaze(
-    mesh: TexturedMesh, places: Float64[Any, "P 3"], normals: Float64[Any, "P 3"]
-) -> Float32[Any, "P 3"]:
+def _glaze(mesh: TexturedMesh, places: Places, normals: Places) -> Float32[Any, "P 3"]:
     """Colours at places of the surface: cream and celadon glaze, faint crackle, and the motifs on it."""
     rng = np.random.default_rng(SEED)
     clouds = _noise(places, 0.22, rng)
@@ -210,7 +206,10 @@ def _glaze(
         fade = np.clip(2 * normals[touched] @ normal + 0.4, 0, 1)  # round the lip, not through the wall
         touched, fade = touched[fade > 0], fade[fade > 0]
         if len(touched):
-            _brush(colors, touched, motif, places[touched] - centre, normal, washes[touched], fade, rng)
+            full = np.clip(0.95 * washes[touched] + 0.2, 0.55, 1)
+            for inside, color, strength in _strokes(motif, places[touched] - centre, normal, full, rng):
+                cover = np.clip(inside / (EDGE / motif.reach) + 0.5, 0, 1) * strength * fade
+                colors[touched] += cover[:, None] * (color - colors[touched])
     return np.clip(colors, 0, 1).astype(np.float32)
 
 
@@ -233,19 +232,12 @@ def _scatter(mesh: TexturedMesh, rng: np.random.Generator) -> list[tuple[Motif, 
     return placed
 
 
-def _brush(
-    colors: Float64[Any, "P 3"],
-    touched: Int[Any, "N"],
-    motif: Motif,
-    offsets: Float64[Any, "N 3"],
-    normal: Float64[Any, "3"],
-    washes: Float64[Any, "N"],
-    fade: Float64[Any, "N"],
-    rng: np.random.Generator,
-) -> None:
-    """Paint one motif over `colors` in the tangent plane at its middle, turned at random.
+def _strokes(
+    motif: Motif, offsets: Float64[Any, "N 3"], normal: Float64[Any, "3"], full: Any, rng: np.random.Generator
+) -> Iterator[tuple[Any, Any, Any]]:
+    """A motif's strokes, turned at random: how far inside each the `offsets` are, its colour and strength.
 
-    Distances are those in space, directions those in the plane, so a motif bends with the surface.
+    Distances are those in space, directions those in the tangent plane, so a motif bends with the surface.
     """
     across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     across /= np.linalg.norm(across)
@@ -253,36 +245,28 @@ def _brush(
     reach = np.linalg.norm(offsets, axis=1) / motif.reach  # 0 in the middle, 1 at the rim
     angle = np.arctan2(plane[:, 1], plane[:, 0]) + rng.uniform(0, 2 * np.pi)
     x, y = reach * np.cos(angle), reach * np.sin(angle)
-    outer, inner = motif.palette
-    body, accent = outer + (inner - outer) * rng.uniform(0, 0.45), inner
-    soft = EDGE / motif.reach
-
-    def lay(inside: Float64[Any, "N"], color: Float64[Any, "N 3"] | Float64[Any, "3"], strength: Any) -> None:
-        cover = np.clip(inside / soft + 0.5, 0, 1) * strength * fade
-        colors[touched] += cover[:, None] * (color - colors[touched])
-
-    full = np.clip(0.95 * washes + 0.2, 0.55, 1)
+    outer, accent = motif.palette
+    body = outer + (accent - outer) * rng.uniform(0, 0.45)
     if motif.kind == "blossom":
         petals = int(rng.integers(5, 8)) if motif.reach > 0.06 else 5
-        lobes = np.abs(np.cos(petals * angle / 2))
-        rim = 0.62 + 0.34 * lobes**0.8
+        rim = 0.62 + 0.34 * np.abs(np.cos(petals * angle / 2)) ** 0.8
         outward = np.clip((reach / rim - 0.25) / 0.75, 0, 1)[:, None] ** 1.5
-        lay(rim - reach, accent + (body - accent) * outward, full)
+        yield (rim - reach, accent + (body - accent) * outward, full)
+        yield (0.40 - reach, CREAM, 0.92)
         heart = OCHRE if outer is COBALT else IRON if outer is SKY_BLUE else COBALT
-        lay(0.40 - reach, CREAM, 0.92)
-        lay(0.25 - reach, heart, 0.95)
+        yield (0.25 - reach, heart, 0.95)
     elif motif.kind == "leaf":
         side = y - 0.22 * (x * x - 0.4)  # of the bent midrib
         width = 0.46 * (1 - x * x) * (1.12 - 0.35 * x)
         shade = np.clip(side / 0.8 + 0.3, 0, 1)[:, None]
-        lay(width - np.abs(side), body + (accent - body) * shade, full)
+        yield (width - np.abs(side), body + (accent - body) * shade, full)
         if motif.reach > 0.035:
-            lay(0.075 * (0.9 - x) - np.abs(side), CREAM, 0.5)
+            yield (0.075 * (0.9 - x) - np.abs(side), CREAM, 0.5)
     else:
-        lay(0.92 - reach, body, full)
+        yield (0.92 - reach, body, full)
 
 
-def _noise(places: Float64[Any, "P 3"], size: float, rng: np.random.Generator) -> Float64[Any, "P"]:
+def _noise(places: Places, size: float, rng: np.random.Generator) -> Float64[Any, "P"]:
     """Smooth noise in space, about ±½, of blobs of this size."""
     grid = rng.uniform(-1, 1, (24, 24, 24))
     return map_coordinates(grid, places.T / size, order=2, mode="grid-wrap", prefilter=False)

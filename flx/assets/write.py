@@ -142,11 +142,8 @@ def check_room(asset: Asset, path: Path, beside: Sequence[Path] = ()) -> None:
     asset, or if a different file already has the place of one of its maps."""
     source, files = asset.container, [path, *beside]
     images = [texture.name for texture in asset.textures if not texture.flat]
-    own = [
-        asset.path,
-        *(asset.path.parent / name for name in images),
-        *map(Path, images),
-    ]  # or from --texture
+    # Images stand next to the mesh, or come from --texture.
+    own = [asset.path, *(asset.path.parent / name for name in images), *map(Path, images)]
     if path.suffix == ".obj":
         files += [path.with_suffix(".mtl"), *map(path.with_name, _image_files(asset, path).values())]
     if isinstance(source, ObjSource):

@@ -91,37 +91,29 @@ def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
 def _warnings(
     report: Report, vertices: int, pixels: RingPixels, overlapping: float, inside_out: int
 ) -> tuple[str, ...]:
-    few, many = RING_PIXELS
-    warnings = []
-    if overlapping > 0.01:
-        warnings.append(
-            f"{overlapping:.1%} of the texels are shown more than once: those places share a colour"
-        )
-    if report.flat_uv_faces:
-        warnings.append(f"{report.flat_uv_faces:,} faces have no area on the texture: they show as a streak")
-    if inside_out:
-        warnings.append(f"{inside_out:,} components are inside out; flip their faces")
-    if pixels and pixels[1] < few:
-        warnings.append(
-            f"only {pixels[1]:.0f} texture pixels in a one-ring: the texture is coarser than the mesh; fewer "
-            "vertices would give the same result"
-        )
-    if pixels and pixels[1] > many:
-        warnings.append(f"{pixels[1]:,.0f} texture pixels in a one-ring: details are lost; use more vertices")
-    if 20 * report.components > vertices:
-        warnings.append(f"{report.components:,} components for {vertices:,} vertices; use more vertices")
-    return tuple(warnings)
+    flat, components = report.flat_uv_faces, report.components
+    median = pixels[1] if pixels else RING_PIXELS[0]
+    ring = f"{median:,.0f} texture pixels in a one-ring"
+    found = (
+        (overlapping > 0.01, f"{overlapping:.1%} of texels show more than once: those places share a colour"),
+        (flat > 0, f"{flat:,} faces have no area on the texture: they show as a streak"),
+        (inside_out > 0, f"{inside_out:,} components are inside out; flip their faces"),
+        (median < RING_PIXELS[0], f"only {ring}: fewer vertices would give the same result"),
+        (median > RING_PIXELS[1], f"{ring}: details are lost; use more vertices"),
+        (
+            20 * components > vertices,
+            f"{components:,} components for {vertices:,} vertices; use more vertices",
+        ),
+    )
+    return tuple(text for holds, text in found if holds)
 
 
 def _verdict(report: Report, warnings: int) -> str:
     dropped = report.degenerate_faces + report.ear_faces + report.duplicate_faces
     cut = report.nonmanifold_edges + report.disagreeing_edges + report.nonmanifold_vertices
-    repairs = [
-        f"{report.welded_vertices:,} vertices welded" if report.welded_vertices else "",
-        f"{dropped:,} faces dropped" if dropped else "",
-        f"{cut:,} edges and vertices cut" if cut else "",
-    ]
-    how = ", ".join(part for part in repairs if part) or "as it is"
+    repairs = (report.welded_vertices, dropped, cut)
+    words = ("vertices welded", "faces dropped", "edges and vertices cut")
+    how = ", ".join(f"{n:,} {what}" for n, what in zip(repairs, words, strict=True) if n) or "as it is"
     mind = {0: "", 1: "; mind the warning"}.get(warnings, "; mind the warnings")
     return f"flx takes it ({how}){mind}"
 

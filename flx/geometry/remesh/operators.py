@@ -53,45 +53,31 @@ def ranks(priority: Float64[Any, "N"]) -> Int[Any, "N"]:
     return rank
 
 
-def _unconnected(topo, pairs, priority):
-    """A nearly maximal set of `pairs` of which no two share a vertex or an edge between them.
+NO_PAIRS = np.zeros((0, 2), np.int64)
 
-    Lowest priority first: a pair wins if it ranks before all its neighbours (Luby's algorithm, three rounds).
+
+def disjoint(
+    groups: Int[Any, "N K"], count: int, priority: Float64[Any, "N"], edges: Int[Any, "E 2"] = NO_PAIRS
+) -> Int[Any, "n"]:
+    """A nearly maximal set of groups of which no two share a vertex, or have one of `edges` between them.
+
+    Lowest priority first: a group wins that ranks before all its neighbours (Luby's algorithm, three rounds).
     """
-    (a, b), rank, count = pairs.T, ranks(priority), topo.count
-    live = mark(count, pairs)
-    u, v = topo.edges[all_of(live, topo.edges)].T
-    won, left = [], np.arange(len(pairs))
-    for _ in range(3):
-        best = np.full(count, len(pairs))
-        np.minimum.at(best, a[left], rank[left])
-        np.minimum.at(best, b[left], rank[left])
-        near = best.copy()
-        np.minimum.at(near, u, best[v])
-        np.minimum.at(near, v, best[u])
-        won.append(left[rank[left] <= np.minimum(near[a[left]], near[b[left]])])
-        taken = mark(count, pairs[won[-1]].ravel())
-        near = taken.copy()
-        near[u[taken[v]]] = near[v[taken[u]]] = True
-        left = left[~near[a[left]] & ~near[b[left]]]
-    return np.concatenate(won)
-
-
-def disjoint(groups: Int[Any, "N K"], count: int, priority: Float64[Any, "N"]) -> Int[Any, "n"]:
-    """A nearly maximal set of groups of which no two share a vertex, lowest priority first.
-
-    Luby's algorithm, three rounds: a group wins if it has the lowest priority at each of its vertices.
-    """
-    rank = ranks(priority)
+    (u, v), rank = edges.T, ranks(priority)
     won, left = [], np.arange(len(groups))
     for _ in range(3):
         best = np.full(count, len(groups))
         for member in groups[left].T:
             np.minimum.at(best, member, rank[left])
-        first = [np.take(best, members) == rank[left] for members in groups[left].T]
+        near = best.copy()
+        np.minimum.at(near, u, best[v])
+        np.minimum.at(near, v, best[u])
+        first = [np.take(near, members) == rank[left] for members in groups[left].T]
         won.append(left[np.logical_and.reduce(first)])
         taken = mark(count, groups[won[-1]].ravel())
-        left = left[~any_of(taken, groups[left])]
+        near = taken.copy()
+        near[u[taken[v]]] = near[v[taken[u]]] = True
+        left = left[~any_of(near, groups[left])]
     return np.concatenate(won)
 
 
@@ -103,9 +89,6 @@ class Collapsed(NamedTuple):
     refused: Int[Any, "N 2"]  # edges that failed a check and whose surroundings have not changed since
 
 
-NONE_REFUSED = np.zeros((0, 2), np.int64)
-
-
 def collapse_edges(
     mesh: Triangulation,
     shortest: float,
@@ -113,7 +96,7 @@ def collapse_edges(
     rng: np.random.Generator,
     most: int | None = None,
     bend: float = 0.3,
-    refused: Int[Any, "N 2"] = NONE_REFUSED,
+    refused: Int[Any, "N 2"] = NO_PAIRS,
 ) -> Collapsed:
     """Collapse a random independent set of at most `most` edges shorter than `shortest`, shorter ones first.
 
@@ -168,7 +151,8 @@ def _collapsible(vertices, faces, topo, feature, kind, shortest, allowed, rng):
     free &= all_of(spare > 0, opposite)
     ids, opposite, boundary = ids[free], opposite[free], boundary[free]
     priority = lengths[ids] / shortest + rng.random(len(ids))
-    won = _unconnected(topo, topo.edges[ids], priority)
+    among = all_of(mark(topo.count, topo.edges[ids]), topo.edges)
+    won = disjoint(topo.edges[ids], topo.count, priority, topo.edges[among])
     ids, opposite, boundary = ids[won], opposite[won], boundary[won]
     # Where the collapses around an opposite vertex would take too many edges together, only one is made.
     lost = np.bincount(opposite.ravel(), minlength=topo.count)

@@ -11,7 +11,7 @@ import numpy as np
 
 from flx.geometry.arrays import area_normals, length_of, mark
 from flx.geometry.remesh.finishing import finish
-from flx.geometry.remesh.operators import NONE_REFUSED, collapse_edges, flip_edges, split_edges
+from flx.geometry.remesh.operators import NO_PAIRS, collapse_edges, flip_edges, split_edges
 from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
 from flx.geometry.topology import edge_lengths, invariants, topology
 from flx.types import Faces, Triangulation, Vertices
@@ -76,7 +76,7 @@ def _split_long(mesh, longest, rng):
 
 def _collapse_short(mesh, length, rng):
     """Collapse edges shorter than 0.8 `length` until few collapses are possible."""
-    refused = NONE_REFUSED
+    refused = NO_PAIRS
     while True:
         mesh, done, refused = collapse_edges(mesh, SHORTEST * length, LONGEST * length, rng, refused=refused)
         if done < FEW * len(mesh.vertices):
@@ -86,7 +86,7 @@ def _collapse_short(mesh, length, rng):
 def _settle(mesh, count, length, rng):
     """Bring the mesh to `count` vertices: collapse short edges under ever weaker conditions, or split."""
     for shortest, longest, bend in ((1.3, 2.0, 0.3), (2.0, 3.0, 0.1), (np.inf, np.inf, -1.0)):
-        done, refused = 1, NONE_REFUSED
+        done, refused = 1, NO_PAIRS
         while done and len(mesh.vertices) > count:
             surplus = len(mesh.vertices) - count
             mesh, done, refused = collapse_edges(
