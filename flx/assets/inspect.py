@@ -76,10 +76,10 @@ def coverage(asset: Asset) -> tuple[float, float]:
 def inside_out_components(asset: Asset) -> int:
     """Closed components whose signed volume is negative."""
     vertices, faces = asset.mesh.vertices, asset.mesh.faces
-    edges = edges_of(faces, len(vertices))
-    number, component = label_components(edges.ends, len(vertices))
+    topo = edges_of(faces, len(vertices))
+    number, component = label_components(topo.edges, len(vertices))
     closed = np.ones(number, bool)
-    closed[component[edges.ends[edges.uses == 1, 0]]] = False
+    closed[component[topo.edges[topo.boundary, 0]]] = False
     a, b, c = np.moveaxis((vertices - vertices.mean(0))[faces], 1, 0)
     volumes = np.bincount(component[faces[:, 0]], np.einsum("fx,fx->f", a, np.cross(b, c)))
     return int((closed & (volumes < 0)).sum())

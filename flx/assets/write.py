@@ -2,7 +2,7 @@
 
 An asset that was GLB or OBJ and keeps its format is the same file with new maps (`formats.glb`,
 `formats.obj_source`). Otherwise the file is new, from the triangles of the asset's parts: names of parts and
-materials are kept, node transforms are applied, numbers are exact; `flx.assets.conversion` lists what a
+materials are kept, node transforms are applied, numbers are exact; `flx.assets.preflight` lists what a
 format cannot hold. Every file is written whole or not at all, and the OBJ after the files that it names.
 """
 

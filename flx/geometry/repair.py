@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from flx.geometry.arrays import distinct_rows, face_areas, mark, squared_sides
 from flx.geometry.topology import (
-    Edges,
+    Topology,
     boundary_loops,
     count_disagreeing,
     count_fans,
@@ -135,13 +135,13 @@ def repair(points: Float64[Any, "V 3"], faces: Faces) -> Repaired:
 
     present = mark(len(points), corners)
     used, compact = np.flatnonzero(present), (np.cumsum(present) - 1)[corners]
-    edges = edges_of(compact, len(used))
-    nonmanifold, opposed = int((edges.uses > 2).sum()), count_disagreeing(compact, edges.inner)
+    topo = edges_of(compact, len(used))
+    nonmanifold, opposed = int((topo.uses > 2).sum()), count_disagreeing(compact, topo.inner)
     origins = np.arange(len(used))  # the vertex that each vertex was before the cuts
     # An edge of three faces or more shows as more than one fan at each of its ends.
-    if opposed or count_fans(compact, edges.inner) != len(used):
+    if opposed or count_fans(compact, topo.inner) != len(used):
         compact, origins = _cut(compact)
-        edges = edges_of(compact, len(origins))
+        topo = edges_of(compact, len(origins))
     repairs = Repairs(
         welded_vertices=int((representative[finite] != finite).sum()),
         degenerate_faces=degenerate,
@@ -154,20 +154,19 @@ def repair(points: Float64[Any, "V 3"], faces: Faces) -> Repaired:
         split_vertices=len(origins) - len(used),
     )
     vertices = points[used[origins]]
-    return Repaired(vertices, compact, sources, repairs, topology_counts(vertices, compact, edges))
+    return Repaired(vertices, compact, sources, repairs, topology_counts(vertices, compact, topo))
 
 
-def topology_counts(vertices: Vertices, faces: Faces, edges: Edges | None = None) -> TopologyCounts:
+def topology_counts(vertices: Vertices, faces: Faces, topo: Topology | None = None) -> TopologyCounts:
     """Components, boundary and Euler characteristic of a manifold mesh without unused vertices."""
-    edges = edges or edges_of(faces, len(vertices))
-    ends = edges.ends
-    rim = ends[edges.uses == 1]
+    topo = topo or edges_of(faces, len(vertices))
+    rim = topo.edges[topo.boundary]
     longest = squared_sides(vertices, faces).max(0)
     return TopologyCounts(
-        components=label_components(ends, len(vertices))[0],
+        components=label_components(topo.edges, len(vertices))[0],
         boundary_edges=len(rim),
         boundary_loops=boundary_loops(rim, len(vertices)),
-        euler=len(vertices) - len(ends) + len(faces),
+        euler=len(vertices) - len(topo.edges) + len(faces),
         sliver_faces=int((2 * face_areas(vertices, faces) <= 1e-12 * longest).sum()),
     )
 
@@ -192,7 +191,7 @@ def _doubled_ears(faces: Faces, same: Int[Any, "F"]) -> Bool[Any, "F"]:
     pair = (np.bincount(same) == 2)[same]
     if not pair.any():
         return pair
-    edge = edges_of(faces, int(faces.max()) + 1).of_faces
+    edge = edges_of(faces, int(faces.max()) + 1).face_edges
     size = int(edge.max()) + 1
     paired = np.bincount(edge[pair].reshape(-1), minlength=size)[edge]
     single = np.bincount(edge[~pair].reshape(-1), minlength=size)[edge]  # faces at the edge without a twin

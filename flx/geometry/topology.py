@@ -4,7 +4,9 @@ Conventions: corner 3f + k is corner k of face f and stands for the edge opposit
 counter-clockwise.
 """
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
@@ -15,58 +17,57 @@ from flx.geometry.arrays import chunks, length_of, mark, sort_keys
 from flx.types import Faces, Vertices
 
 
-class Edges(NamedTuple):
-    """Edges of any triangles, manifold or not, sorted by `keys` = smaller vertex · V + larger vertex."""
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """The edges of triangles, sorted by `keys` = smaller vertex · V + larger vertex.
+
+    The arrays below `opposite` are made at their first use.
+    """
 
     count: int  # V
     keys: Int[Any, "E"]
     uses: Int[Any, "E"]  # number of faces at each edge
-    first: Int[Any, "E"]  # index in `corners` of each edge's first opposite corner
-    corners: Int[Any, "C"]  # opposite corners, edge by edge, ascending within an edge
+    first: Int[Any, "E"]  # index in `opposite` of each edge's first corner
+    opposite: Int[Any, "C"]  # the corners opposite to edges, edge by edge, ascending within an edge
 
-    @property
-    def ends(self) -> Int[Any, "E 2"]:
+    @cached_property
+    def edges(self) -> Int[Any, "E 2"]:
         return np.stack([self.keys // self.count, self.keys % self.count], 1)
 
-    @property
+    @cached_property
+    def corners(self) -> Int[Any, "E 2"]:
+        """The opposite corners of each edge of a manifold mesh; the second is -1 at the boundary."""
+        second = self.opposite[np.minimum(self.first + 1, len(self.opposite) - 1)]
+        return np.stack([self.opposite[self.first], np.where(self.uses == 2, second, -1)], 1)
+
+    @cached_property
     def inner(self) -> Int[Any, "N 2"]:
         """The two corners opposite to each edge that has two faces."""
-        at = self.first[self.uses == 2]
-        return np.stack([self.corners[at], self.corners[at + 1]], 1)
+        return self.corners[self.uses == 2]
 
-    @property
-    def of_faces(self) -> Int[Any, "F 3"]:
+    @cached_property
+    def face_edges(self) -> Int[Any, "F 3"]:
         """The index of the edge opposite to each corner."""
-        edges = np.empty(len(self.corners), np.int64)
-        edges[self.corners] = np.repeat(np.arange(len(self.keys)), self.uses)
+        edges = np.empty(len(self.opposite), np.int64)
+        edges[self.opposite] = np.repeat(np.arange(len(self.keys)), self.uses)
         return edges.reshape(-1, 3)
 
-
-class Topology(NamedTuple):
-    """Edges of a manifold mesh, sorted by `keys` = smaller vertex · V + larger vertex."""
-
-    count: int  # V
-    edges: Int[Any, "E 2"]
-    keys: Int[Any, "E"]
-    corners: Int[Any, "E 2"]  # opposite corners; the second is -1 at the boundary
-    face_edges: Int[Any, "F 3"]  # the edge opposite to each corner
-
-    @property
+    @cached_property
     def boundary(self) -> Bool[Any, "E"]:
-        return self.corners[:, 1] < 0
+        return self.uses == 1
 
-    @property
+    @cached_property
     def rim(self) -> Bool[Any, "V"]:
         """Which vertices are on the boundary."""
         return mark(self.count, self.edges[self.boundary])
 
-    @property
+    @cached_property
     def valence(self) -> Int[Any, "V"]:
         """The number of edges at each vertex."""
         return np.bincount(self.edges.ravel(), minlength=self.count)
 
 
-def edges_of(faces: Faces, count: int) -> Edges:
+def edges_of(faces: Faces, count: int) -> Topology:
     """Edges of any triangles between `count` vertices, from one sort of the corners."""
     keys = np.empty(faces.shape, np.int64)
     for k in range(3):
@@ -75,22 +76,15 @@ def edges_of(faces: Faces, count: int) -> Edges:
         keys[:, k] += np.maximum(start, end)
     key, corners = sort_keys(keys.ravel())
     first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
-    return Edges(count, key[first], np.diff(first, append=len(key)), first, corners)
+    return Topology(count, key[first], np.diff(first, append=len(key)), first, corners)
 
 
 def topology(faces: Faces, count: int) -> Topology:
-    """Edges of a manifold mesh of `count` vertices.
-
-    Raises ValueError if an edge has more than two faces.
-    """
-    edges = edges_of(faces, count)
-    if edges.uses.max() > 2:
-        raise ValueError(
-            f"{(edges.uses > 2).sum()} edges have more than two faces; split the mesh there first"
-        )
-    second = edges.corners[np.minimum(edges.first + 1, len(edges.corners) - 1)]
-    corners = np.stack([edges.corners[edges.first], np.where(edges.uses == 2, second, -1)], 1)
-    return Topology(count, edges.ends, edges.keys, corners, edges.of_faces)
+    """Edges of a manifold mesh of `count` vertices. Raises ValueError if an edge has more than two faces."""
+    topo = edges_of(faces, count)
+    if wrong := (topo.uses > 2).sum():
+        raise ValueError(f"{wrong} edges have more than two faces; split the mesh there first")
+    return topo
 
 
 def count_disagreeing(faces: Faces, inner: Int[Any, "N 2"]) -> int:
@@ -106,22 +100,10 @@ def count_disagreeing(faces: Faces, inner: Int[Any, "N 2"]) -> int:
 def count_fans(faces: Faces, inner: Int[Any, "N 2"]) -> int:
     """The number of fans of faces, over all vertices, of a mesh whose faces agree in orientation.
 
-    `inner` holds the two opposite corners of each edge that has two faces. The corners of a fan form a chain
-    (at a boundary) or a cycle around their vertex. Pointer doubling finds the first corner of each cycle in
-    log₂(highest valence) steps.
+    `inner` holds the two opposite corners of each edge that has two faces: it joins two corners at each end.
     """
-    none = faces.size  # successor of the last corner before a boundary
-    kind = np.min_scalar_type(-3 * none - 3)  # a small integer type: random access is bound by the cache
-    after, before = _other_corners(inner.astype(kind))
-    following = np.full(none + 1, none, kind)
-    following[before] = after[:, ::-1]
-    corner = np.arange(none + 1, dtype=kind)
-    least = corner.copy()
-    least[none] = -1
-    for _ in range(int(np.bincount(faces.ravel()).max()).bit_length()):
-        np.minimum(least, np.take(least, following), out=least)
-        following = np.take(following, following)
-    return none - 2 * len(inner) + int((least == corner).sum())
+    after, before = _other_corners(inner)
+    return label_components(np.stack([before.ravel(), after[:, ::-1].ravel()], 1), faces.size)[0]
 
 
 def _other_corners(corners):
@@ -170,13 +152,10 @@ def invariants(vertices: Vertices, faces: Faces) -> str:
     if not len(faces) or faces.min() < 0 or faces.max() >= count:
         raise ValueError(f"{len(faces)} faces do not fit {count} vertices; check the face indices")
     topo = topology(faces, count)
-    inner = topo.corners[~topo.boundary]
-    if wrong := count_disagreeing(faces, inner):
+    if wrong := count_disagreeing(faces, topo.inner):
         raise ValueError(f"{wrong} edges join opposite orientations; orient the faces")
-    if (fans := count_fans(faces, inner)) != count:
-        raise ValueError(
-            f"{count} vertices have {fans} fans of faces; split or drop vertices until each has one"
-        )
+    if (fans := count_fans(faces, topo.inner)) != count:
+        raise ValueError(f"{count} vertices have {fans} fans of faces; split vertices until each has one")
     rim = topo.edges[topo.boundary]
     return (
         f"{label_components(topo.edges, count)[0]} components, Euler characteristic "

@@ -4,8 +4,7 @@ import pytest
 from helpers.cube import MTL, saved
 
 from flx.assets.asset import Painting
-from flx.assets.conversion import left_behind
-from flx.assets.preflight import check_output
+from flx.assets.preflight import check_output, left_behind
 from flx.assets.read import read_asset
 from flx.assets.write import write
 
