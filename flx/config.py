@@ -55,22 +55,16 @@ class FLVAE:
         _check("model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=1, sharpness=1)
         invariants, vectors = self.invariants, self.latents - self.invariants
         if self.encoder == "transformer" and invariants:
-            raise ValueError(
-                f"model.invariants is {invariants}, but the transformer's codes are vectors: make it 0"
-            )
+            raise ValueError(f"model.invariants is {invariants}; make it 0, since the transformer has none")
         if self.encoder == "transformer" and self.channels % self.heads:
-            raise ValueError(
-                f"model.heads is {self.heads}; make it a divisor of model.channels, {self.channels}"
-            )
+            raise ValueError(f"model.heads is {self.heads}; make it divide model.channels, {self.channels}")
         if self.encoder == "frame" and not (1 <= invariants <= 3 and 1 <= vectors <= FRAME_VECTORS):
             raise ValueError(
                 f"model.invariants is {invariants} of {self.latents} latents; the frame encoder needs "
                 f"1 to 3, and 1 to {FRAME_VECTORS} vectors"
             )
         if self.decoder == "interpolated" and self.sharpness != 1:
-            raise ValueError(
-                f"model.sharpness is {self.sharpness}, but the interpolated decoder is barycentric: make it 1"
-            )
+            raise ValueError(f"model.sharpness is {self.sharpness}; make it 1 for the interpolated decoder")
 
 
 @dataclass(frozen=True)

@@ -76,16 +76,7 @@ def _split(
         old = asset.corner_vertices[chosen] - (ends[number] - len(part.positions))
         keys, rows = np.unique(old * len(uvs) + charted[chosen], return_inverse=True)
         rows, (source, chart) = rows.reshape(-1, 3), np.divmod(keys, len(uvs))
-        parts.append(
-            part._replace(
-                positions=part.positions[source],
-                normals=None if part.normals is None else part.normals[source],
-                uvs=uvs[chart],
-                colors=None,
-                faces=rows,
-                origin=(-1, -1),
-            )
-        )
+        parts.append(part.at(source, rows)._replace(uvs=uvs[chart], colors=None, origin=(-1, -1)))
         corners[chosen] = rows + total
         total += len(source)
     return tuple(parts), corners

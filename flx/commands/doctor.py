@@ -37,9 +37,7 @@ class Doctor:
     def __call__(self) -> None:
         plan = quick() if self.config is None else read_config(self.config)
         if not isinstance(plan, FLDMExperiment):
-            raise ValueError(
-                f"{self.config} does not train on a mesh; give a config such as experiments/demo.py"
-            )
+            raise ValueError(f"{self.config} trains on no mesh; give a config such as experiments/demo.py")
         if self.vertices is not None:
             plan = replace(plan, surface=replace(plan.surface, vertices=self.vertices))
         try:

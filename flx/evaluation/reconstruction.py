@@ -21,15 +21,8 @@ from flx.assets.asset import Asset
 from flx.assets.read import read_asset
 from flx.assets.write import write_png
 from flx.config import Compared, Comparison
-from flx.evaluation.baselines import (
-    Method,
-    Subject,
-    components,
-    field_latents,
-    frame_components,
-    open_images,
-    vertex_colours,
-)
+from flx.evaluation import baselines
+from flx.evaluation.baselines import Method, Subject
 from flx.evaluation.fidelity import fidelity
 from flx.evaluation.lpips import HINT, installed_judges
 from flx.evaluation.neural_field import intrinsic_field
@@ -120,14 +113,14 @@ def _read_asset(mesh: str) -> Asset:
 
 def _methods(options: Comparison) -> Callable[[str], Method]:
     """Methods by name, each made at its first use: fitting to images takes a while."""
-    images = cache(lambda: open_images(options.images or Path()))
+    images = cache(lambda: baselines.open_images(options.images or Path()))
     makers: dict[str, Callable[[], Method]] = {
-        "flvae": lambda: field_latents(load_codec(options.weights)),
-        "barycentric": lambda: field_latents(load_codec(BARYCENTRIC)),
+        "flvae": lambda: baselines.field_latents(load_codec(options.weights)),
+        "barycentric": lambda: baselines.field_latents(load_codec(BARYCENTRIC)),
         "inf": lambda: intrinsic_field,
-        "vertex_colours": lambda: vertex_colours,
-        "pca": lambda: components(images()),
-        "frame_pca": lambda: frame_components(images()),
+        "vertex_colours": lambda: baselines.vertex_colours,
+        "pca": lambda: baselines.components(images()),
+        "frame_pca": lambda: baselines.frame_components(images()),
     }
     return cache(lambda name: makers[name]())
 

@@ -40,23 +40,17 @@ class View(NamedTuple):
 
 
 def render(
-    mesh: TexturedMesh,
-    textures: Sequence[UInt8[Any, "_ _ 3"]] | None = None,
-    azimuth: float | int = 30.0,
-    elevation: float | int = 20.0,
-    size: int = 512,
-    up: Literal["y", "z"] = "y",
-    supersample: int = 2,
+    mesh: TexturedMesh, textures: Sequence[UInt8[Any, "_ _ 3"]] | None = None, **view: Any
 ) -> UInt8[Any, "size size 3"]:
-    """A square view in perspective, with `textures` instead of the mesh's own if they are given.
+    """The view that `look` takes of the mesh, with `textures` instead of its own if they are given.
 
-    Each pixel is the mean of supersample² rays. For one mesh in many colours, `look` once and `show` each.
+    For one mesh in many colours, `look` once and `show` each.
     """
     if textures is not None:
         if len(textures) != (count := len(mesh.textures)):
             raise ValueError(f"{len(textures)} textures for a mesh that has {count}; give one image for each")
         mesh = mesh.with_layer(images=tuple(textures))
-    return show(look(mesh, azimuth, elevation, size, up, supersample), mesh)
+    return show(look(mesh, **view), mesh)
 
 
 def look(
@@ -67,7 +61,7 @@ def look(
     up: Literal["y", "z"] = "y",
     supersample: int = 2,
 ) -> View:
-    """The geometry of a view, for any colours."""
+    """A square view in perspective, for any colours. Each of its pixels is the mean of supersample² rays."""
     axes, eye = _camera(mesh.vertices, azimuth, elevation, up)
     seen = (mesh.vertices - eye) @ axes.T  # right, up, towards the viewer
     depths = -seen[:, 2]

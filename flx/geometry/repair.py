@@ -82,9 +82,7 @@ def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
     if alone + tree.count_neighbors(tree, tolerance) > most:
         unique = points[distinct_rows(points)[0]]
         stray = unique[np.abs(unique - np.median(unique, axis=0)).max(1).argmax()]
-        raise ValueError(
-            f"a vertex at {stray.tolist()} is so far off that the others are one point; remove it"
-        )
+        raise ValueError(f"a vertex at {stray.tolist()} is so far off that all others coincide; remove it")
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     _, group = label_components(pairs, len(unique))
     lowest = np.full(len(unique), len(points))

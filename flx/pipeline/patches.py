@@ -43,9 +43,7 @@ def load_images(folder: Path) -> UInt8[Any, "N 512 512 3"]:
     Raises ValueError if there is none.
     """
     if not (paths := image_files(folder)):
-        raise ValueError(
-            f"{folder} holds no images ({' '.join(SUFFIXES)}); name a folder with --images.folder"
-        )
+        raise ValueError(f"{folder} holds no images ({' '.join(SUFFIXES)}); name another --images.folder")
     return np.stack([_centred_crop(Image.open(path)) for path in paths])
 
 

@@ -10,7 +10,7 @@ coordinates; the others are kept in their line and reported, like factors that m
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,21 +55,6 @@ class FileName(NamedTuple):
     options: dict[str, tuple[str, ...]]
     start: int
     end: int
-
-
-class Mapped(NamedTuple):
-    """A material, and how its image lies on the surface: texture coordinates are `scale`·uv + `offset`."""
-
-    material: Material
-    scale: tuple[float, float] = (1.0, 1.0)
-    offset: tuple[float, float] = (0.0, 0.0)
-    options: tuple[str, ...] = ()  # of map_Kd that are not applied
-    moved: frozenset[Slot] = frozenset()  # other slots whose image has an -s or -o
-
-    @property
-    def is_placed(self) -> bool:
-        """Whether `scale` or `offset` changes the texture coordinates."""
-        return (self.scale, self.offset) != ((1.0, 1.0), (0.0, 0.0))
 
 
 def statements(content: bytes) -> Iterator[Statement]:
@@ -120,55 +105,51 @@ def _is_number(word: bytes) -> bool:
         return False
 
 
-def parse_mtl(content: bytes) -> dict[str, Mapped]:
+def parse_mtl(content: bytes) -> dict[str, Material]:
     """Materials by name. Diffuse colours and their images are read as sRGB.
 
     Raises BadFile where Kd is not three numbers.
     """
-    materials: dict[str, Mapped] = {}
+    materials: dict[str, Material] = {}
     name, dissolved = "", False  # where a material has d, its Tr (1 − d) is ignored
     for statement in statements(content):
         key, values, file = statement.key, _text(statement.value).split(), file_name(statement)
         if key == "newmtl":
             name, dissolved = material_name(statement), False
-            materials[name] = Mapped(Material(name))
+            materials[name] = Material(name)
         if not name:
             continue
-        mapped = materials[name]
+        material = materials[name]
         if key == "kd" and len(values) >= 3:
             r, g, b = np.nan_to_num(numbers(" ".join(values[:3]))).clip(0, 1).tolist()
-            mapped = _with(mapped, color=(r, g, b))
+            material = material._replace(color=(r, g, b))
         elif key in ("d", "tr") and values and _is_number(statement.value.split()[-1]):
             if key == "d" or not dissolved:
                 opacity = float(values[-1]) if key == "d" else 1 - float(values[-1])
-                mapped = _with(mapped, opacity=min(max(opacity, 0.0), 1.0))
+                material = material._replace(opacity=min(max(opacity, 0.0), 1.0))
             dissolved |= key == "d"
         elif key == "map_d" and file:
-            mapped = _with(mapped, opacity_image=file.name)
+            material = material._replace(opacity_image=file.name)
         elif key == "map_kd" and file:
             unapplied = {o: v for o, v in file.options.items() if o not in ("-s", "-o")}
-            mapped = _with(mapped, image=file.name)._replace(
+            material = material._replace(
+                image=file.name,
                 scale=_pair(file.options.get("-s", ()), 1.0),
                 offset=_pair(file.options.get("-o", ()), 0.0),
                 options=tuple(" ".join([option, *words]) for option, words in unapplied.items()),
             )
         elif key in SLOTS and file:
-            mapped = _with_map(mapped, SLOTS[key], file, is_bump="bump" in key)
-        materials[name] = mapped
+            material = _with_map(material, SLOTS[key], file, is_bump="bump" in key)
+        materials[name] = material
     return materials
 
 
-def _with_map(mapped: Mapped, slot: Slot, file: FileName, is_bump: bool) -> Mapped:
+def _with_map(material: Material, slot: Slot, file: FileName, is_bump: bool) -> Material:
     """The material with the map of another slot; norm takes precedence over a bump map."""
-    maps = mapped.material.maps
-    if is_bump and (slot in maps or not NORMAL_MAP.search(file.name)):
-        return mapped
-    moved = mapped.moved | {slot} if {"-s", "-o"} & file.options.keys() else mapped.moved - {slot}
-    return _with(mapped, maps={**maps, slot: file.name})._replace(moved=moved)
-
-
-def _with(mapped: Mapped, **properties: Any) -> Mapped:
-    return mapped._replace(material=mapped.material._replace(**properties))
+    if is_bump and (slot in material.maps or not NORMAL_MAP.search(file.name)):
+        return material
+    moved = material.moved | {slot} if {"-s", "-o"} & file.options.keys() else material.moved - {slot}
+    return material._replace(maps={**material.maps, slot: file.name}, moved=moved)
 
 
 def _pair(words: tuple[str, ...], default: float) -> tuple[float, float]:

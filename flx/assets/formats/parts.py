@@ -29,6 +29,12 @@ class Part(NamedTuple):
     faces: Faces
     origin: tuple[int, int] = (-1, -1)  # glTF: node, primitive
 
+    def at(self, rows: Int[Any, "R"], faces: Faces) -> "Part":
+        """Some rows of the part, with faces that count among them."""
+        arrays = {name: getattr(self, name) for name in ("positions", "normals", "uvs", "colors")}
+        chosen = {name: None if array is None else array[rows] for name, array in arrays.items()}
+        return self._replace(**chosen, faces=faces)
+
 
 def stacked(parts: Sequence[Part]) -> tuple[Float64[Any, "V 3"], list[Int[Any, "F 3"]]]:
     """The positions of all parts in turn, and the faces of each part with rows counted through the parts."""
@@ -47,6 +53,16 @@ class Material(NamedTuple):
     opacity_image: str | None = None  # the image whose alpha is used
     maps: Mapping[Slot, str] = {}  # what the file calls the images of other slots
     flat: Mapping[Slot, tuple[float, float, float]] = {}  # values of other slots, if not `NEUTRAL`
+    # In an MTL: texture coordinates are `scale`·uv + `offset`, with v upwards.
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+    moved: frozenset[Slot] = frozenset()  # other slots whose image has a scale or offset
+    options: tuple[str, ...] = ()  # of map_Kd that are not applied
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether `scale` or `offset` changes the texture coordinates."""
+        return (self.scale, self.offset) != ((1.0, 1.0), (0.0, 0.0))
 
     def flat_value(self, slot: Slot) -> tuple[float, float, float]:
         """The value all over a material without an image in this slot, as an image would store it."""

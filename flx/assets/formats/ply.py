@@ -282,21 +282,12 @@ def _parts(
         colors, kind = _stacked(vertex, COLOR), kinds["red"]
         whole = kind[0] in "iu"
         colors = (colors / np.iinfo(kind).max).clip(0, 1).astype(np.float32) if whole else colors_of(colors)
-    parts = []
-    for image in np.unique(number):
-        used, compact = np.unique(faces[number == image], return_inverse=True)
-        used = np.arange(len(rows)) if len(images) < 2 else used
-        parts.append(
-            Part(
-                name=name,
-                material=int(image),
-                positions=points[rows[used]],
-                normals=None if normals is None else normals[rows[used]],
-                uvs=None if uvs is None else uvs[used],
-                colors=None if colors is None else colors[rows[used]],
-                faces=faces if len(images) < 2 else compact.reshape(-1, 3),
-            )
-        )
+    parts = [Part(name, 0, points, normals, None, colors, faces).at(rows, faces)._replace(uvs=uvs)]
+    if len(images) > 1:
+        whole, parts = parts[0], []
+        for image in np.unique(number).tolist():
+            used, compact = np.unique(faces[number == image], return_inverse=True)
+            parts.append(whole.at(used, compact.reshape(-1, 3))._replace(material=image))
     return Ply(parts, images, int((corners.sizes > 3).sum()), ())
 
 

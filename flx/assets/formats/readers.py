@@ -15,7 +15,7 @@ from jaxtyping import Float64, UInt8
 from flx.assets.formats import glb, gltf
 from flx.assets.formats.files import BadFile, found_beside, inside, read_file, substitution
 from flx.assets.formats.gltf import Gltf
-from flx.assets.formats.mtl import Mapped, parse_mtl
+from flx.assets.formats.mtl import parse_mtl
 from flx.assets.formats.obj import parse_obj
 from flx.assets.formats.obj_source import ObjSource, find_maps, read_libraries
 from flx.assets.formats.parts import Material, Part
@@ -99,41 +99,41 @@ def _read_obj(path: Path) -> Contents:
     obj = parse_obj(content.decode("utf-8-sig", errors="replace"), path.stem)
     libraries, lost, renames = read_libraries(path.parent, content)
     maps, missing = find_maps(path.parent, libraries)
-    defined: dict[str, Mapped] = {}
+    defined: dict[str, Material] = {}
     for library in libraries.values():
         defined |= parse_mtl(library)
     hint = "no map_Kd in the material file" if libraries else "no material file, mtllib, is named"
-    mapped = [*(defined.get(n, Mapped(Material(n))) for n in obj.names), Mapped(Material(path.stem))]
+    materials = [*(defined.get(n, Material(n)) for n in obj.names), Material(path.stem)]
     return Contents(
-        parts=[_moved(part, mapped[part.material]) for part in obj.parts],
-        materials=[each.material for each in mapped],
+        parts=[_moved(part, materials[part.material]) for part in obj.parts],
+        materials=materials,
         load_image=partial(load_beside, path.parent),
         hint=f"{path.parent / lost[-1]} does not exist" if lost else hint,
         container=ObjSource(path.parent, content, libraries, maps, obj.rows, obj.colors),
         missing_images=tuple(missing),
         polygons=obj.polygons,
         found_images=tuple(map(substitution, renames.items())),
-        ignored_options=tuple(f"{m.material.name}: {option}" for m in mapped for option in m.options),
-        slot_uvs=lambda part, slot: _obj_uvs(part, mapped[part.material], slot),
+        ignored_options=tuple(f"{m.name}: {option}" for m in materials for option in m.options),
+        slot_uvs=lambda part, slot: _obj_uvs(part, materials[part.material], slot),
     )
 
 
-def _obj_uvs(part: Part, mapped: Mapped, slot: Slot) -> Float64[Any, "V 2"] | None:
+def _obj_uvs(part: Part, material: Material, slot: Slot) -> Float64[Any, "V 2"] | None:
     """Raises BadFile for a roughness map, and for one that is not placed like map_Kd."""
-    name = mapped.material.name
-    if slot == "metallic_roughness" and slot in mapped.material.maps:
+    name = material.name
+    if slot == "metallic_roughness" and slot in material.maps:
         raise BadFile(f"map_Pr and map_Pm of {name!r} are not read; convert the mesh to GLB")
-    if slot in mapped.material.maps and (slot in mapped.moved or mapped.is_placed):
+    if slot in material.maps and (slot in material.moved or material.is_placed):
         raise BadFile(f"the {slot} map of {name!r} and its map_Kd have -s or -o; convert the mesh to GLB")
     return part.uvs
 
 
-def _moved(part: Part, mapped: Mapped) -> Part:
+def _moved(part: Part, material: Material) -> Part:
     """The part with its texture coordinates as `-s` and `-o` of its image place them; for these v runs up."""
-    if part.uvs is None or not mapped.is_placed:
+    if part.uvs is None or not material.is_placed:
         return part
     flip = [1, -1] * part.uvs + [0, 1]
-    return part._replace(uvs=(flip * mapped.scale + mapped.offset) * [1, -1] + [0, 1])
+    return part._replace(uvs=(flip * material.scale + material.offset) * [1, -1] + [0, 1])
 
 
 def _read_ply(path: Path) -> Contents:
