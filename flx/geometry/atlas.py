@@ -28,8 +28,8 @@ WRAP = 8  # texels beyond the border of a repeating texture in which a gutter lo
 class Atlas(NamedTuple):
     """Which face each texel of one texture shows; the point on the face follows from the coordinates.
 
-    It takes four bytes per texel. Texels are numbered row by row; `texels`, `rows`, `columns` and `points`
-    list those that show the surface, in that order.
+    It takes four bytes per texel. Texels are numbered row by row; `texels` and `points` list those that show
+    the surface, in that order.
     """
 
     faces: Int32[Any, "H W"]  # the face that each texel shows, −1 for none
@@ -51,14 +51,6 @@ class Atlas(NamedTuple):
     @property
     def texels(self) -> Int[Any, "P"]:
         return np.flatnonzero(self.covered)
-
-    @property
-    def rows(self) -> Int[Any, "P"]:
-        return self.texels // self.width
-
-    @property
-    def columns(self) -> Int[Any, "P"]:
-        return self.texels % self.width
 
     @property
     def points(self) -> SurfacePoints:

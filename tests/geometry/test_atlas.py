@@ -25,12 +25,13 @@ def test_an_atlas_texel_leads_back_to_its_own_centre():
     mesh = textured(ball, separate_charts(ball, 12))
     atlas = atlas_texels(mesh, 0, 300, 400)
     uvs = np.einsum("pkx,pk->px", mesh.corner_uvs[atlas.points.faces], atlas.points.barycentrics)
-    centres = np.stack([(atlas.columns + 0.5) / 400, (atlas.rows + 0.5) / 300], 1)
+    rows, columns = np.divmod(atlas.texels, atlas.width)
+    centres = np.stack([(columns + 0.5) / 400, (rows + 0.5) / 300], 1)
     np.testing.assert_allclose(uvs, centres, atol=1e-6)
     assert (atlas.points.barycentrics >= 0).all()
-    assert len(np.unique(atlas.rows * 400 + atlas.columns)) == len(atlas.rows)
+    assert len(np.unique(rows * 400 + columns)) == len(rows)
     area = 0.5 * 0.8**2 / 12**2 * len(ball.faces)
-    assert len(atlas.rows) / (300 * 400) == pytest.approx(area, rel=0.03)
+    assert len(rows) / (300 * 400) == pytest.approx(area, rel=0.03)
 
 
 @given(st.integers(-5, 5), st.integers(-5, 5))
@@ -40,26 +41,26 @@ def test_whole_shifts_of_uvs_change_nothing(right, down):
     here = atlas_texels(textured(ball, uvs), 0, 64, 64)
     there = atlas_texels(textured(ball, uvs + np.array([right, down])), 0, 64, 64)
     np.testing.assert_array_equal(here.points.faces, there.points.faces)
-    np.testing.assert_array_equal(here.rows, there.rows)
-    np.testing.assert_array_equal(here.columns, there.columns)
+    np.testing.assert_array_equal(here.texels, there.texels)
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.37, -2.5])
 def test_a_square_as_large_as_the_texture_covers_each_texel_once(shift):
     mesh = quad([(shift, shift), (1 + shift, shift), (1 + shift, 1 + shift), (shift, 1 + shift)])
     atlas = atlas_texels(mesh, 0, 32, 48)
-    assert len(np.unique(atlas.rows * 48 + atlas.columns)) == len(atlas.rows) == 32 * 48
+    rows, columns = np.divmod(atlas.texels, atlas.width)
+    assert len(np.unique(rows * 48 + columns)) == len(rows) == 32 * 48
 
 
 def test_the_first_face_owns_a_shared_texel_whatever_the_chunks(monkeypatch):
     mesh = quad([(0, 0), (3, 0), (3, 3), (0, 3)])  # nine tiles, and the diagonal through texel centres
     whole = atlas_texels(mesh, 0, 16, 16)
-    columns, rows = whole.columns, whole.rows
+    rows, columns = np.divmod(whole.texels, whole.width)
     assert (whole.points.faces == 0).all() and len(rows) == 256  # face 0 alone reaches every texel
     monkeypatch.setattr("flx.geometry.raster.CHUNK", 5)
     monkeypatch.setattr("flx.geometry.atlas.CHUNK", 5)
     parts = atlas_texels(mesh, 0, 16, 16)
-    np.testing.assert_array_equal(parts.columns, columns)
+    np.testing.assert_array_equal(parts.texels, whole.texels)
     np.testing.assert_array_equal(parts.points.barycentrics, whole.points.barycentrics)
 
 
@@ -67,7 +68,7 @@ def test_faces_without_uv_area_or_of_other_textures_have_no_texels():
     mesh = quad([(0, 0), (1, 0), (1, 1), (0.5, 0.5)])  # the second face is a line
     assert set(atlas_texels(mesh, 0, 16, 16).points.faces) == {0}
     mesh = mesh.with_layer(face_images=np.array([1, 1]))
-    assert len(atlas_texels(mesh, 0, 16, 16).rows) == 0
+    assert len(atlas_texels(mesh, 0, 16, 16).texels) == 0
 
 
 def test_a_texel_inside_a_large_face_shows_a_point_of_one_of_its_repeats():
@@ -75,7 +76,8 @@ def test_a_texel_inside_a_large_face_shows_a_point_of_one_of_its_repeats():
     atlas = atlas_texels(mesh, 0, 16, 24)
     points = atlas.points
     uvs = np.einsum("pkx,pk->px", mesh.corner_uvs[points.faces], points.barycentrics)
-    centres = np.stack([(atlas.columns + 0.5) / 24, (atlas.rows + 0.5) / 16], 1)
+    rows, columns = np.divmod(atlas.texels, atlas.width)
+    centres = np.stack([(columns + 0.5) / 24, (rows + 0.5) / 16], 1)
     np.testing.assert_allclose(uvs % 1, centres, atol=1e-9)
     assert (points.barycentrics.min(1) > 0).all() and (uvs >= 1).any()
 
@@ -101,8 +103,9 @@ def test_a_face_smaller_than_a_texel_takes_the_texel_it_lies_in(fill):
 def test_a_needle_between_the_centres_takes_every_texel_it_passes():
     mesh = quad([(0.01, 0.26), (0.99, 0.26), (0.99, 0.27), (0.01, 0.27)])
     atlas = atlas_texels(mesh, 0, 16, 64)
-    np.testing.assert_array_equal(atlas.columns, np.arange(64))
-    assert (atlas.rows == 4).all()
+    rows, columns = np.divmod(atlas.texels, atlas.width)
+    np.testing.assert_array_equal(columns, np.arange(64))
+    assert (rows == 4).all()
     u = np.einsum("pkx,pk->px", mesh.corner_uvs[atlas.points.faces], atlas.points.barycentrics)[:, 0]
     np.testing.assert_allclose(u, np.clip((np.arange(64) + 0.5) / 64, 0.01, 0.99), atol=1e-3)
 
@@ -175,7 +178,8 @@ def test_filled_gutters_end_black_bleeding_at_seams():
     mesh = textured(ball, uvs, np.zeros((180, 180, 3), np.uint8))
     atlas = atlas_texels(mesh, 0, 180, 180)
     bare = np.zeros((180, 180, 3), np.uint8)
-    bare[atlas.rows, atlas.columns] = 200
+    rows, columns = np.divmod(atlas.texels, atlas.width)
+    bare[rows, columns] = 200
     mesh = mesh.with_layer(images=(bare,))
     points, _ = ring_points(ball, 4, np.random.default_rng(0))
     assert surface_colors(mesh, points).min() < 0.5  # the fault is there
@@ -188,8 +192,9 @@ def test_painting_the_surfaces_own_colours_gives_the_texture_back():
     mesh = textured(ball, separate_charts(ball, 12), noise(128, 96))
     atlas = atlas_texels(mesh, 0, 128, 96)
     painted = paint(atlas, surface_colors(mesh, atlas.points))
-    assert len(atlas.rows) > 1000
-    at = atlas.rows, atlas.columns
+    rows, columns = np.divmod(atlas.texels, atlas.width)
+    assert len(rows) > 1000
+    at = rows, columns
     np.testing.assert_array_equal(painted[at], mesh.textures[0][at])
 
 
