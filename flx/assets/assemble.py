@@ -50,9 +50,10 @@ def assemble(
 
     Raises BadFile, ValueError or OSError; `faults_of` adds the path to their messages.
     """
-    parts = [part for part in contents.parts if len(part.faces)]
+    contents = contents._replace(parts=[part for part in contents.parts if len(part.faces)])
+    parts = contents.parts
     _check(parts)
-    choices = _choose_images(contents, parts, texture, slots)
+    choices = _choose_images(contents, texture, slots)
     points, part_faces = stacked(parts)
     faces = np.concatenate(part_faces)
     fixed = repair(points, faces)
@@ -60,7 +61,7 @@ def assemble(
     materials = np.repeat([part.material for part in parts], [len(part.faces) for part in parts])
     colors = np.concatenate([_colors(part, contents.materials[part.material]) for part in parts])
     maps: dict[Slot, Layer] = {
-        slot: _layer(contents, parts, slot, choice, corners, materials[fixed.sources])
+        slot: _layer(contents, slot, choice, corners, materials[fixed.sources])
         for slot, choice in choices.items()
     }
     has_images = bool(choices["base_color"].images)
@@ -68,13 +69,13 @@ def assemble(
     mesh = TexturedMesh(fixed.vertices, fixed.faces, maps, corner_colors)
     _check_measures(mesh)
     names: dict[Slot, dict[str, None]] = {}
-    for material in sorted({part.material for part in parts}):
+    for material in contents.used:
         for slot, name in contents.materials[material].maps.items():
             names.setdefault(slot, {})[name] = None
     return Asset(
         path=path,
         mesh=mesh,
-        report=_report(path, format, contents, parts, mesh, choices["base_color"].textures, fixed),
+        report=_report(path, format, contents, mesh, choices["base_color"].textures, fixed),
         parts=tuple(parts),
         paints=tuple(_paint(m, index, choices) for index, m in enumerate(contents.materials)),
         sources={slot: tuple(choice.textures) for slot, choice in choices.items()},
@@ -128,14 +129,11 @@ def _check_finite(part: Part, rows: Float64[Any, "V C"] | Float32[Any, "V C"] | 
 # ---------------------------------------------------------------------------------------------- images
 
 
-def _choose_images(
-    contents: Contents, parts: Sequence[Part], override: Path | None, slots: Sequence[Slot]
-) -> dict[Slot, Choice]:
+def _choose_images(contents: Contents, override: Path | None, slots: Sequence[Slot]) -> dict[Slot, Choice]:
     """The images of base colours and of these slots; their total size is checked before any is decoded."""
-    used = sorted({part.material for part in parts})
-    wanted: dict[Slot, dict[int, str]] = {"base_color": _wanted_colors(contents, used, override)}
-    wanted |= {slot: _wanted_maps(contents, used, slot) for slot in slots if slot != "base_color"}
-    for part in parts:
+    wanted: dict[Slot, dict[int, str]] = {"base_color": _wanted_colors(contents, override)}
+    wanted |= {slot: _wanted_maps(contents, slot) for slot in slots if slot != "base_color"}
+    for part in contents.parts:
         for slot, names in wanted.items():
             if part.material in names and contents.slot_uvs(part, slot) is None:
                 what = "a texture" if slot == "base_color" else f"a {slot} map"
@@ -148,34 +146,31 @@ def _choose_images(
         else:
             encoded[name] = _encoded(contents, name, base == [name])
     check_together({name: content for name, content in encoded.items() if isinstance(content, bytes)})
-    return {slot: _decoded(contents, encoded, slot, names, used) for slot, names in wanted.items()}
+    return {slot: _decoded(contents, encoded, slot, names) for slot, names in wanted.items()}
 
 
-def _wanted_colors(contents: Contents, used: Sequence[int], override: Path | None) -> dict[int, str]:
+def _wanted_colors(contents: Contents, override: Path | None) -> dict[int, str]:
     """The base colour image of each material that has one; empty for vertex colours."""
-    wanted = {m: name for m in used if (name := contents.materials[m].image) is not None}
+    wanted = {m: name for m in contents.used if (name := contents.materials[m].image) is not None}
     if override is None:
         return wanted
     if (count := len(set(wanted.values()))) > 1:
         raise ValueError(f"{count} base colour images, --texture replaces one; edit the materials")
-    return dict.fromkeys(wanted or used, str(override))
+    return dict.fromkeys(wanted or contents.used, str(override))
 
 
-def _wanted_maps(contents: Contents, used: Sequence[int], slot: Slot) -> dict[int, str]:
+def _wanted_maps(contents: Contents, slot: Slot) -> dict[int, str]:
     """The image in another slot of each material that has one. Raises ValueError where none has."""
-    wanted = {m: name for m in used if (name := contents.materials[m].maps.get(slot))}
+    wanted = {m: name for m in contents.used if (name := contents.materials[m].maps.get(slot))}
     if not wanted:
-        others = ", ".join(sorted({name for m in used for name in contents.materials[m].maps})) or "none"
+        slots = {name for m in contents.used for name in contents.materials[m].maps}
+        others = ", ".join(sorted(slots)) or "none"
         raise ValueError(f"there is no {slot} map (other maps: {others}); leave it out of slots")
     return wanted
 
 
 def _decoded(
-    contents: Contents,
-    encoded: dict[str, bytes | Picture],
-    slot: Slot,
-    wanted: dict[int, str],
-    used: Sequence[int],
+    contents: Contents, encoded: dict[str, bytes | Picture], slot: Slot, wanted: dict[int, str]
 ) -> Choice:
     """The decoded images, and a small one for each material that has a flat value instead."""
     if not wanted and any(part.colors is not None for part in contents.parts):
@@ -194,7 +189,7 @@ def _decoded(
         images.append(image)
         textures.append(Texture(name, alpha, flat=False, made_from=kind))
     image_of = {m: names.index(name) for m, name in wanted.items()}
-    for material in (m for m in used if m not in wanted):
+    for material in (m for m in contents.used if m not in wanted):
         image_of[material] = len(images)
         value = np.nan_to_num(contents.materials[material].flat_value(slot)).clip(0, 1)
         images.append(np.tile(np.rint(255 * value).astype(np.uint8), (4, 4, 1)))
@@ -217,17 +212,12 @@ def _encoded(contents: Contents, name: str, replaceable: bool) -> bytes | Pictur
 
 
 def _layer(
-    contents: Contents,
-    parts: Sequence[Part],
-    slot: Slot,
-    choice: Choice,
-    corners: Int[Any, "F 3"],
-    materials: Int[Any, "F"],
+    contents: Contents, slot: Slot, choice: Choice, corners: Int[Any, "F 3"], materials: Int[Any, "F"]
 ) -> Layer:
     """The images of a slot, and where the corners of repaired faces read them."""
     image_of = np.array([choice.image_of.get(m, 0) for m in range(len(contents.materials))])
     rows = []
-    for part in parts:
+    for part in contents.parts:
         uvs = contents.slot_uvs(part, slot) if choice.images else None
         _check_finite(part, uvs, f"the {slot} coordinate of vertex")
         rows.append(np.zeros((len(part.positions), 2)) if uvs is None else uvs)
@@ -278,21 +268,16 @@ def _digest(mesh: TexturedMesh) -> str:
 
 
 def _report(
-    path: Path,
-    format: str,
-    contents: Contents,
-    parts: Sequence[Part],
-    mesh: TexturedMesh,
-    textures: Sequence[Texture],
-    fixed: Repaired,
+    path: Path, format: str, contents: Contents, mesh: TexturedMesh, textures: list[Texture], fixed: Repaired
 ) -> Report:
     outside = ((mesh.corner_uvs < 0) | (mesh.corner_uvs > 1)).any((1, 2))
     painted = ~np.array([t.flat for t in textures] or [True])[mesh.face_textures]
+    parts = contents.parts
     return Report(
         path=str(path),
         format=format or path.suffix[1:].upper(),
         parts=len(parts),
-        materials=len({part.material for part in parts}),
+        materials=len(contents.used),
         vertices_read=sum(len(part.positions) for part in parts),
         faces_read=sum(len(part.faces) for part in parts),
         polygons=contents.polygons,

@@ -38,7 +38,6 @@ REST = GAP + rb"*+(?P<value>(?:" + NEXT_LINE + rb"|[^\r\n])*+)"
 CONTINUED = (b"\\\n", b"\\\r", b"\\\r\n")
 LIBRARY = re.compile(rb"mtllib(?=[\s\\]|\Z)" + REST)
 USE = re.compile(rb"usemtl(?=[\s\\]|\Z)" + REST)
-OBJECT = re.compile(rb"o(?=[\s\\])" + REST)
 STRUCTURE = re.compile(rb"(?P<key>[ogs])(?=[\s\\])" + REST)
 LINE = re.compile(rb"[lp](?=[\s\\])")
 FACE = re.compile(rb"f(?=[\s\\])")
@@ -168,7 +167,7 @@ def write_painted(source: ObjSource, images: Mapping[str, str], fresh: str, path
         first = next(iter(libraries), "")
         libraries[first] = _with_materials(libraries.get(first, b""), added)
     text = _with_material_of_the_rest(source.text, fresh) if "" in images else source.text
-    _write(source, libraries, text, path)
+    write_copy(source._replace(libraries=libraries, text=text), path)
 
 
 def write_colored(source: ObjSource, rows: Int[Any, "N"], colors: Float32[Any, "N 3"], path: Path) -> None:
@@ -191,17 +190,13 @@ def write_colored(source: ObjSource, rows: Int[Any, "N"], colors: Float32[Any, "
     word, numbers = (b"%d", quantized(means)) if whole else (b"%.9g", means)
     spans = zip(places[used].reshape(-1, 2).tolist(), numbers.ravel().tolist(), strict=True)
     edits = ((start, end, word % number) for (start, end), number in spans)
-    _write(source, source.libraries, edited(source.text, edits), path)
-
-
-def write_copy(source: ObjSource, path: Path) -> None:
-    """The OBJ with all its files, unchanged but for the names of the MTL files."""
-    _write(source, source.libraries, source.text, path)
+    write_copy(source._replace(text=edited(source.text, edits)), path)
 
 
 def only_object(source: ObjSource) -> str:
     """The name of the only object; "" without one, and where there are several."""
-    names = {match["value"].strip() for match in _statements(OBJECT, source.text)}
+    found = _statements(STRUCTURE, source.text)
+    names = {match["value"].strip() for match in found if match["key"] == b"o"}
     return names.pop().decode(errors="replace") if len(names) == 1 else ""
 
 
@@ -246,22 +241,25 @@ def library_files(source: ObjSource, path: Path) -> dict[str, Path]:
     return {name: path.with_name(f"{path.stem}_{k}.mtl" if k else f"{path.stem}.mtl") for k, name in names}
 
 
-def _write(source: ObjSource, libraries: Mapping[str, bytes], text: bytes, path: Path) -> None:
-    """Maps, libraries and, last, the OBJ that names them. A map that is already there is not copied."""
-    for name in _all_files(libraries.values()):
+def write_copy(source: ObjSource, path: Path) -> None:
+    """The maps, the libraries and, last, the OBJ that names them; all unchanged but for the MTLs' names.
+
+    A map that is already there is not copied.
+    """
+    for name in _all_files(source.libraries.values()):
         if name in source.maps and not (target := inside(path.parent, source.maps[name])).exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(target, read_file(inside(source.folder, name)))
     files = library_files(source, path)
-    for name, content in libraries.items():
+    for name, content in source.libraries.items():
         write_atomically(files[name], content)
-    write_atomically(path, _naming(source, text, {name: files[name].name for name in libraries}))
+    write_atomically(path, _naming(source, {name: files[name].name for name in source.libraries}))
 
 
-def _naming(source: ObjSource, text: bytes, written: Mapping[str, str]) -> bytes:
+def _naming(source: ObjSource, written: Mapping[str, str]) -> bytes:
     """The text with the names of the written files after mtllib. An MTL under the name "" is new: it replaces
     missing ones, or gets an mtllib at the top."""
-    stand_in, edits = written.get(""), []
+    text, stand_in, edits = source.text, written.get(""), []
     for match in _statements(LIBRARY, text):
         names = [written.get(n, stand_in or n) for n in _names(source.folder, match["value"])]
         names = names or [stand_in or ""]

@@ -139,7 +139,8 @@ def _unread(elements: list[Element], header: bytes, is_ascii: bool) -> tuple[str
 
 
 Body = bytes | memoryview
-Field = tuple[str, str, str | None]  # name, type, type of a list's length
+Fields = list[tuple[str, str, str | None]]  # name, type, type of a list's length
+Columns = dict[str, Column]
 ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -154,7 +155,7 @@ def _pieces(text: str) -> list[tuple[int, int]]:
 
 def _read(
     element: Element, content: Body, start: int, order: str, read_as: dict[str, str]
-) -> tuple[dict[str, Column], int]:
+) -> tuple[Columns, int]:
     """The columns of one element, and where the next begins."""
     if not element.properties or not element.length:
         return {}, start
@@ -170,9 +171,7 @@ def _read(
     return _read_alike(element, fields, content, start) or _read_each(element, fields, content, start)
 
 
-def _read_alike(
-    element: Element, fields: list[Field], content: Body, start: int
-) -> tuple[dict[str, Column], int] | None:
+def _read_alike(element: Element, fields: Fields, content: Body, start: int) -> tuple[Columns, int] | None:
     """Rows whose lists all have the lengths of the first row's; None if they differ."""
     layout, at = [], start
     for name, kind, count in fields:
@@ -200,9 +199,7 @@ def _read_alike(
     return columns, start + dtype.itemsize * element.length
 
 
-def _read_each(
-    element: Element, fields: list[Field], content: Body, start: int
-) -> tuple[dict[str, Column], int]:
+def _read_each(element: Element, fields: Fields, content: Body, start: int) -> tuple[Columns, int]:
     """Rows one by one."""
     values: dict[str, list] = {name: [] for name, *_ in fields}
     for row in range(element.length):
@@ -239,12 +236,7 @@ def _size(content: Body, kind: str, at: int) -> tuple[int, int]:
 
 
 def _parts(
-    name: str,
-    vertex: dict[str, Column],
-    kinds: dict[str, str],
-    face: dict[str, Column],
-    corners: Column,
-    images: list[str],
+    name: str, vertex: Columns, kinds: dict[str, str], face: Columns, corners: Column, images: list[str]
 ) -> Ply:
     with np.errstate(invalid="ignore"):  # numbers that are not finite are refused by name, later
         points = _stacked(vertex, "xyz")
@@ -291,5 +283,5 @@ def _parts(
     return Ply(parts, images, int((corners.sizes > 3).sum()), ())
 
 
-def _stacked(vertex: dict[str, Column], names: Iterable[str]) -> Float64[Any, "V C"]:
+def _stacked(vertex: Columns, names: Iterable[str]) -> Float64[Any, "V C"]:
     return np.stack([vertex[name].values for name in names], 1).astype(np.float64)

@@ -41,6 +41,11 @@ class Contents(NamedTuple):
     found_images: tuple[str, ...] = ()  # images found under another name than the file's
     slot_uvs: Callable[[Part, Slot], Float64[Any, "V 2"] | None] = lambda part, _: part.uvs
 
+    @property
+    def used(self) -> list[int]:
+        """The materials of the parts."""
+        return sorted({part.material for part in self.parts})
+
 
 def _read_gltf(path: Path) -> Contents:
     return gltf_contents(gltf.read_gltf(path))

@@ -6,7 +6,7 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, length_of, sum_at, unit_vectors, vertex_normals
+from flx.geometry.arrays import Vectors, area_normals, dot, length_of, sum_at, unit_vectors, vertex_normals
 from flx.geometry.remesh.features import CURVE, bends, features, long_curves
 from flx.geometry.topology import edge_lengths, topology
 from flx.types import Faces, Triangulation, Vertices
@@ -46,12 +46,8 @@ class ReferenceSurface:
         self.probes, self.outward = _probes(vertices, topo, self.normals, outward, length)
 
     def project(
-        self,
-        points: Float64[Any, "N 3"],
-        normals: Float64[Any, "N 3"],
-        kind: Int[Any, "N"],
-        rim: Bool[Any, "N"],
-    ) -> tuple[Float64[Any, "N 3"], Bool[Any, "N"]]:
+        self, points: Vectors, normals: Vectors, kind: Int[Any, "N"], rim: Bool[Any, "N"]
+    ) -> tuple[Vectors, Bool[Any, "N"]]:
         """The closest points on the boundary (for `rim`), on creases (for `kind` > 0), otherwise on faces.
 
         Returns them and whether they lie on the point's own side. On a thin wall the closest point may be on
