@@ -37,6 +37,7 @@ def parameters_of(experiment: Experiment) -> dict:
     return jax.eval_shape(network.init, jax.random.key(0), tables, z, jnp.float32(1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
 def test_an_experiment_names_itself_and_can_be_trained(path):
     experiment = read_config(path)

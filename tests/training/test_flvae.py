@@ -16,10 +16,13 @@ from flx.types import Queries, RingSamples
 
 @pytest.fixture(scope="module")
 def small() -> tuple:
-    """A tiny model and its parameters."""
-    return TINY, initial_params(TINY, 0)
+    """A tiny model and random parameters; to initialise it takes long."""
+    rng, shapes = np.random.default_rng(0), jax.eval_shape(lambda: initial_params(TINY, 0))
+    draw = lambda leaf: jnp.asarray(rng.normal(size=leaf.shape) / np.sqrt(leaf.shape[0]), leaf.dtype)  # noqa: E731
+    return TINY, jax.tree.map(draw, shapes)
 
 
+@pytest.mark.slow
 def test_who_learns_the_blend_hears_of_a_corner_what_is_seen_of_it(small):
     """Points at the first corner of their face show nothing of the others."""
     (model, params), rng = small, np.random.default_rng(0)
