@@ -117,19 +117,14 @@ def _copies(
             pool.shutdown(cancel_futures=True)
 
 
-def save_tables(path: str | os.PathLike, tables: MeshTables) -> None:
-    """Write an npz whole or not at all: a reader never meets half a file."""
+def save_tables(path: Path, tables: MeshTables) -> None:
+    """Write an .npz whole or not at all: a reader never meets half a file."""
     levels = tables._asdict().items()
     arrays = {f"{level}.{name}": a for level, part in levels for name, a in part._asdict().items()}
-
-    def write(torn: Path) -> None:
-        with open(torn, "wb") as file:  # to a path without .npz, NumPy would add it
-            np.savez(file, **arrays)
-
-    write_atomically(Path(path), write)
+    write_atomically(path, lambda torn: np.savez(torn, **arrays))
 
 
-def load_tables(path: str | os.PathLike) -> MeshTables:
+def load_tables(path: Path) -> MeshTables:
     """Read what `save_tables` wrote. Raises ValueError where the file is damaged or holds something else."""
     with _arrays(path, "mesh tables") as file:
         return MeshTables(
@@ -140,7 +135,7 @@ def load_tables(path: str | os.PathLike) -> MeshTables:
 
 
 @contextlib.contextmanager
-def _arrays(path: str | os.PathLike, what: str) -> Iterator[Any]:
+def _arrays(path: Path, what: str) -> Iterator[Any]:
     """The arrays of an npz. Raises ValueError, naming the file, if it is damaged or lacks an array."""
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -9,9 +9,9 @@ from typing import Any
 
 from flx.assets.formats.files import BadFile
 
-# What a value must be: {key: rule} for an object, [rule] for a list, or a function of the value and the
-# document, which returns "" or, in words, what it wanted.
-Rule = dict[str, Any] | list[Any] | Callable[[Any, dict], str]
+# What a value must be: {key: rule} for an object, [rule] for a list, n for n numbers, or a function of it and
+# of the document, which returns "" or, in words, what it wanted.
+Rule = dict[str, Any] | list[Any] | int | Callable[[Any, dict], str]
 EACH = "each"  # as the only key of an object's rule: the rule of all its values
 
 
@@ -55,6 +55,9 @@ def _check(value: Any, rule: Rule, place: str, document: dict) -> None:
         _check(value, _list, place, document)
         for index, child in enumerate(value):
             _check(child, rule[0], f"{place}[{index}]", document)
+    elif isinstance(rule, int):
+        as_many = isinstance(value, list) and len(value) == rule
+        _check(value, [_number] if as_many else _must(lambda _: False, f"{rule} numbers"), place, document)
     elif wanted := rule(value, document):
         found = f"{place or 'the document'} is {repr(value)[:40]}"
         raise BadFile(f"{found}, not {wanted}; export the file again")
@@ -79,15 +82,6 @@ def _one_of(*allowed: Any) -> Callable[[Any, dict], str]:
     return _must(lambda value: type(value) in (int, str) and value in allowed, wanted)
 
 
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
-
-
-def _vector(length: int) -> Callable[[Any, dict], str]:
-    wanted = f"{length} numbers"
-    return _must(lambda v: isinstance(v, list) and len(v) == length and all(map(_is_number, v)), wanted)
-
-
 def _index(key: str) -> Callable[[Any, dict], str]:
     """The rule that a value is an index into one of the document's lists."""
 
@@ -103,16 +97,13 @@ _object = _must(lambda value: isinstance(value, dict), "an object")
 _list = _must(lambda value: isinstance(value, list), "a list")
 _text = _must(lambda value: isinstance(value, str), "a text")
 _whole = _must(lambda value: type(value) is int and 0 <= value < 1 << 53, "a whole number")
-_number = _must(_is_number, "a number")
+_number = _must(lambda value: type(value) in (int, float) and math.isfinite(value), "a number")
 
-ON_TEXTURE = {"offset": _vector(2), "scale": _vector(2), "rotation": _number, "texCoord": _whole}
-TEXTURE: Rule = {
-    "index": _index("textures"),
-    "texCoord": _whole,
-    "extensions": {"KHR_texture_transform": ON_TEXTURE},
-}
+PLACED = {"offset": 2, "scale": 2, "rotation": _number, "texCoord": _whole}
+EXTENSIONS = {"KHR_texture_transform": PLACED}
+TEXTURE = {"index": _index("textures"), "texCoord": _whole, "extensions": EXTENSIONS}
 VIEW = {"bufferView": _index("bufferViews"), "byteOffset": _whole}
-TRANSFORM = {"matrix": _vector(16), "rotation": _vector(4), "scale": _vector(3), "translation": _vector(3)}
+TRANSFORM = {"matrix": 16, "rotation": 4, "scale": 3, "translation": 3}
 PRIMITIVE = {
     "attributes": {EACH: _index("accessors")},
     "indices": _index("accessors"),
@@ -130,7 +121,7 @@ ACCESSOR = {
         "values": VIEW,
     },
 }
-PBR = {"baseColorFactor": _vector(4)}
+PBR = {"baseColorFactor": 4}
 SOURCE = {"source": _index("images")}
 GLTF: Rule = {
     "asset": {"version": _text},
