@@ -9,8 +9,9 @@ from skimage.metrics import structural_similarity
 
 from flx.assets.asset import Asset, Painting, own_painting
 from flx.evaluation.lpips import Judge
-from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
+from flx.geometry.atlas import Atlas, fill_gutter
 from flx.geometry.color import resized
+from flx.pipeline.canvas import atlases_of
 
 WINDOW = 11  # side of DSSIM's Gaussian windows in pixels; smaller images are padded to it
 
@@ -40,10 +41,7 @@ def fidelity(
         used = np.unique(asset.corner_vertices)
         own = own_painting(asset).colors
         return {"psnr": psnr(float(np.mean((own[used] - painting.colors[used]) ** 2)))}
-    atlases = atlases or [
-        None if texture.flat else atlas_texels(asset.mesh, index, *image.shape[:2])
-        for index, (texture, image) in enumerate(zip(asset.textures, painting.images, strict=True))
-    ]
+    atlases = atlases or atlases_of(asset, [image.shape[:2] for image in painting.images])
     distances, weights = [], []
     for atlas, own, new in zip(atlases, asset.mesh.textures, painting.images, strict=True):
         if atlas is None or not atlas.covered.any():

@@ -62,8 +62,7 @@ def exact_tables(
 def one_rings(frames: TangentFrames, slots: int = 16) -> OneRings:
     """The padded one-rings in float64; K is the size of the largest ring, including the vertex itself.
 
-    Raises:
-      ValueError: a vertex has more neighbours than slots − 1.
+    Raises ValueError where a vertex has more neighbours than slots − 1.
     """
     p, place = np.nonzero(frames.neighbors >= 0)
     logs = (frames.lengths * frames.directions)[p, place] / frames.radius

@@ -50,8 +50,7 @@ def tangent_frames(triangulation: Triangulation) -> TangentFrames:
     A corner is c = 3 face + i, at vertex faces[face, i]. Counter-clockwise around its vertex, the next corner
     is the one whose outgoing edge is the reverse of this one's incoming edge. All vertices advance together.
 
-    Raises:
-      ValueError: two faces run along an edge in the same direction, or a vertex joins two fans of faces.
+    Raises ValueError where two faces run along an edge in the same direction, or a vertex joins two fans.
     """
     vertices, faces = triangulation.vertices, triangulation.faces.astype(np.int64)
     count = len(vertices)

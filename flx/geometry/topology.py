@@ -156,11 +156,9 @@ def invariants(vertices: Vertices, faces: Faces) -> str:
         raise ValueError(f"{wrong} edges join opposite orientations; orient the faces")
     if (fans := count_fans(faces, topo.inner)) != count:
         raise ValueError(f"{count} vertices have {fans} fans of faces; split vertices until each has one")
-    rim = topo.edges[topo.boundary]
-    return (
-        f"{label_components(topo.edges, count)[0]} components, Euler characteristic "
-        f"{count - len(topo.edges) + len(faces)}, {boundary_loops(rim, count)} boundary loops"
-    )
+    components, euler = label_components(topo.edges, count)[0], count - len(topo.edges) + len(faces)
+    loops = boundary_loops(topo.edges[topo.boundary], count)
+    return f"{components} components, Euler characteristic {euler}, {loops} boundary loops"
 
 
 def label_components(edges: Int[Any, "E 2"], count: int) -> tuple[int, Int[Any, "V"]]:

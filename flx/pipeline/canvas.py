@@ -1,6 +1,6 @@
 """From latents to an asset: colours decoded wherever the asset shows them, in files and in pictures."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -44,10 +44,7 @@ def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | 
     `texture_size`: pixels on the longer side; None: as the input has, at most `LARGEST`.
     """
     mesh = asset.mesh
-    atlases = tuple(
-        None if texture.flat else atlas_texels(mesh, index, *atlas_size(image, texture_size))
-        for index, (texture, image) in enumerate(zip(asset.textures, mesh.textures, strict=True))
-    )
+    atlases = atlases_of(asset, [atlas_size(image, texture_size) for image in mesh.textures])
     count = sum(int(atlas.covered.sum()) for atlas in atlases if atlas) or len(_vertex_points(asset)[0])
     faces, barycentrics, start = np.empty(count, np.int32), np.empty((count, 3), np.float32), 0
     for points in _shown_points(asset, atlases):
@@ -56,6 +53,12 @@ def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | 
         faces[chunk], barycentrics[chunk] = hits
         start = chunk.stop
     return Canvas(asset, triangulation, atlases, faces, barycentrics)
+
+
+def atlases_of(asset: Asset, sizes: Iterable[tuple[int, ...]]) -> tuple[Atlas | None, ...]:
+    """The texels of each texture at a size (height, width); None where it is flat."""
+    textures = enumerate(zip(asset.textures, sizes, strict=True))
+    return tuple(None if texture.flat else atlas_texels(asset.mesh, n, *s) for n, (texture, s) in textures)
 
 
 def _shown_points(asset: Asset, atlases: Sequence[Atlas | None]) -> Iterator[SurfacePoints]:

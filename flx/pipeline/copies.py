@@ -20,7 +20,7 @@ from flx.files import write_atomically
 from flx.geometry import copies
 from flx.geometry.atlas import with_filled_gutters
 from flx.pipeline.codec import Codec
-from flx.types import MeshTables, OneRings, Pooling, TexturedMesh, Triangulation
+from flx.types import MeshTables, TexturedMesh, Triangulation
 
 MOST_WORKERS = 8  # a worker holds the mesh and its textures
 
@@ -127,10 +127,9 @@ def save_tables(path: Path, tables: MeshTables) -> None:
 def load_tables(path: Path) -> MeshTables:
     """Read what `save_tables` wrote. Raises ValueError where the file is damaged or holds something else."""
     with _arrays(path, "mesh tables") as file:
+        levels = MeshTables.__annotations__.items()
         return MeshTables(
-            fine=OneRings(*(file[f"fine.{name}"] for name in OneRings._fields)),
-            pooling=Pooling(*(file[f"pooling.{name}"] for name in Pooling._fields)),
-            coarse=OneRings(*(file[f"coarse.{name}"] for name in OneRings._fields)),
+            *(kind(*(file[f"{level}.{name}"] for name in kind._fields)) for level, kind in levels)
         )
 
 

@@ -20,12 +20,9 @@ def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     patches = ImagePatches(experiment.images, experiment.model, config.batch)
     run = open_run(root, experiment, patches.digest)
     state = train(run, config, starting_params(experiment, patches), image_loss(experiment), patches)
-    card = {
-        "steps": str(config.steps),
-        "rings": str(config.steps * config.batch * PATCH_VERTICES),
-        "images": str(len(patches.images)),
-        "kl_weight": str(experiment.kl_weight),
-    }
+    rings = config.steps * config.batch * PATCH_VERTICES
+    card = {"steps": config.steps, "rings": rings, "images": len(patches.images)}
+    card = {name: str(value) for name, value in {**card, "kl_weight": experiment.kl_weight}.items()}
     save_codec(run.folder / "flvae.safetensors", Codec(experiment.model, state.ema), card)
     return run
 

@@ -52,13 +52,8 @@ def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
     if Path(name).name != name or name in ("", ".."):
         raise ValueError(f"{name!r} is not a folder name; give the run a name without slashes with --name")
     run = Run(Path(root) / name)
-    record = {
-        "flx": __version__,
-        "kind": type(experiment).__name__,
-        "fingerprint": fingerprint,
-        "config": asdict(experiment),
-    }
-    record = json.loads(json.dumps(record))  # as it reads back: tuples are lists
+    record = {"flx": __version__, "kind": type(experiment).__name__, "fingerprint": fingerprint}
+    record |= {"config": json.loads(json.dumps(asdict(experiment)))}  # as it reads back: tuples are lists
     if run.config.exists():
         _refuse_another(run, _read(run.config), record)
     elif strangers := _visible(run.folder):

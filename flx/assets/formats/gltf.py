@@ -30,12 +30,7 @@ from flx.types import Slot
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-MIME_TYPES = {
-    b"\x89PN": "image/png",
-    b"\xff\xd8\xff": "image/jpeg",
-    b"RIF": "image/webp",
-    b"\xabKT": "image/ktx2",
-}
+KINDS = {b"\x89PN": "png", b"\xff\xd8\xff": "jpeg", b"RIF": "webp", b"\xabKT": "ktx2"}  # by the first bytes
 IN_PBR = ("base_color", "metallic_roughness")  # slots that lie in pbrMetallicRoughness
 TRIANGLES, STRIP, FAN = 4, 5, 6
 MOST_VALUES = 1 << 22  # in the JSON: an empty list of three bytes takes a hundred in memory
@@ -83,7 +78,8 @@ def read_gltf(path: Path) -> Gltf:
             content = _resource(quote(other) or image["uri"], path.parent)
         except FileNotFoundError:
             continue
-        image["mimeType"] = MIME_TYPES.get(content[:3], image.get("mimeType", "image/png"))
+        kind = KINDS.get(content[:3])
+        image["mimeType"] = f"image/{kind}" if kind else image.get("mimeType", "image/png")
         image["bufferView"] = append_view(document, views, content)
         del image["uri"]
     return Gltf(document, tuple(views), tuple(substitutions))

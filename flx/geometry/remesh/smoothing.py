@@ -113,10 +113,8 @@ def _probes(vertices, topo, normals, outward, length):
     place = 1 + np.arange(len(edge)) - (np.cumsum(inner) - inner)[edge]
     t = (place / pieces[bent[edge]])[:, None]
     a, b = topo.edges[bent[edge]].T
-    return (
-        np.concatenate([vertices, (1 - t) * vertices[a] + t * vertices[b]]),
-        np.concatenate([outward, unit_vectors(outward[a] + outward[b])]),
-    )
+    points = np.concatenate([vertices, (1 - t) * vertices[a] + t * vertices[b]])
+    return points, np.concatenate([outward, unit_vectors(outward[a] + outward[b])])
 
 
 def smooth(
