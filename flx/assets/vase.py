@@ -24,7 +24,7 @@ from flx.assets.formats.images import encode_png
 from flx.assets.formats.obj import split_corners
 from flx.assets.formats.parts import Paint, Part
 from flx.assets.formats.readers import gltf_contents
-from flx.geometry.arrays import face_areas
+from flx.geometry.arrays import Rng, face_areas
 from flx.geometry.atlas import atlas_texels, paint
 from flx.geometry.sampling import Places, face_normals, positions
 from flx.types import Faces, Layer, SurfacePoints, TexturedMesh, Vertices
@@ -213,7 +213,7 @@ def _glaze(mesh: TexturedMesh, places: Places, normals: Places) -> Float32[Any, 
     return np.clip(colors, 0, 1).astype(np.float32)
 
 
-def _scatter(mesh: TexturedMesh, rng: np.random.Generator) -> list[tuple[Motif, Any, Any]]:
+def _scatter(mesh: TexturedMesh, rng: Rng) -> list[tuple[Motif, Any, Any]]:
     """Motifs dropped one after another where they fit: places uniform by area, none overlapping."""
     areas = face_areas(mesh.vertices, mesh.faces)
     flat = face_normals(mesh.vertices, mesh.faces)
@@ -233,7 +233,7 @@ def _scatter(mesh: TexturedMesh, rng: np.random.Generator) -> list[tuple[Motif, 
 
 
 def _strokes(
-    motif: Motif, offsets: Float64[Any, "N 3"], normal: Float64[Any, "3"], full: Any, rng: np.random.Generator
+    motif: Motif, offsets: Float64[Any, "N 3"], normal: Float64[Any, "3"], full: Any, rng: Rng
 ) -> Iterator[tuple[Any, Any, Any]]:
     """A motif's strokes, turned at random: how far inside each the `offsets` are, its colour and strength.
 
@@ -266,7 +266,7 @@ def _strokes(
         yield (0.92 - reach, body, full)
 
 
-def _noise(places: Places, size: float, rng: np.random.Generator) -> Float64[Any, "P"]:
+def _noise(places: Places, size: float, rng: Rng) -> Float64[Any, "P"]:
     """Smooth noise in space, about ±½, of blobs of this size."""
     grid = rng.uniform(-1, 1, (24, 24, 24))
     return map_coordinates(grid, places.T / size, order=2, mode="grid-wrap", prefilter=False)

@@ -13,6 +13,7 @@ from flx.types import Faces, Vertices
 
 Vectors = Float64[Any, "N 3"]
 Lengths = Float64[Any, "N"]
+Rng = np.random.Generator
 CHUNK_ROWS = 1 << 12  # rows processed at a time, by default
 
 

@@ -20,6 +20,7 @@ from flx.types import Slot, SurfacePoints, TexturedMesh
 
 MOST_REPEATS = 16  # repeats of a texture on one face; billions would take too long and show no more
 WRAP = 8  # texels beyond the border of a repeating texture in which a gutter looks for colours
+Picture = UInt[Any, "H W 3"]
 
 
 # --- texels and points
@@ -153,9 +154,7 @@ def _outlines(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:
 # --- gutters and paint
 
 
-def fill_gutter(
-    image: UInt[Any, "H W 3"], covered: Bool[Any, "H W"], reach: float = np.inf
-) -> UInt[Any, "H W 3"]:
+def fill_gutter(image: Picture, covered: Bool[Any, "H W"], reach: float = np.inf) -> Picture:
     """Give uncovered texels the colour of the nearest covered texel, also across the repeating border.
 
     Texels farther than `reach` from a covered one keep their colour: other meshes may share the image. A
@@ -190,7 +189,7 @@ def with_filled_gutters(mesh: TexturedMesh) -> TexturedMesh:
     return mesh
 
 
-def paint(atlas: Atlas, colors: Float32[Any, "P 3"], dtype: DTypeLike = np.uint8) -> UInt[Any, "H W 3"]:
+def paint(atlas: Atlas, colors: Float32[Any, "P 3"], dtype: DTypeLike = np.uint8) -> Picture:
     """An image with these colours, clipped to [0, 1], at the atlas' texels, and filled gutters."""
     image = np.zeros((atlas.height, atlas.width, 3), dtype)
     image[atlas.covered] = quantized(colors, dtype)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex64
 
-from flx.geometry.arrays import chunks
+from flx.geometry.arrays import Rng, chunks
 from flx.geometry.raster import CHUNK
 from flx.geometry.remesh.remesh import remesh
 from flx.geometry.sampling import ring_points, surface_colors, transfer
@@ -41,7 +41,7 @@ def sample_rings(mesh: TexturedMesh, triangulation: Triangulation, samples: int,
 
 
 def points_in_rings(
-    triangulation: Triangulation, samples: int, rng: np.random.Generator
+    triangulation: Triangulation, samples: int, rng: Rng
 ) -> tuple[SurfacePoints, Complex64[Any, "V S"]]:
     """Points uniform by area in each one-ring, from v·samples on for vertex v, and their logs at v."""
     points, corners = ring_points(triangulation, samples, rng)

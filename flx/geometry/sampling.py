@@ -10,12 +10,13 @@ import igl
 import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt
 
-from flx.geometry.arrays import area_normals, chunks, dot, face_areas
+from flx.geometry.arrays import Rng, area_normals, chunks, dot, face_areas
 from flx.geometry.raster import CHUNK
 from flx.types import Faces, Slot, SurfacePoints, TexturedMesh, Triangulation, Vertices
 
 Surface = TexturedMesh | Triangulation
 Places = Float64[Any, "P 3"]  # in space, in the units of the vertices
+Colors = Float32[Any, "P 3"]
 
 
 def positions(vertices: Vertices, faces: Faces, points: SurfacePoints) -> Places:
@@ -30,7 +31,7 @@ def face_normals(vertices: Vertices, faces: Faces) -> Float64[Any, "F 3"]:
     return normals / np.where(lengths > 0, lengths, 1.0)
 
 
-def texture_colors(image: UInt[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Float32[Any, "P 3"]:
+def texture_colors(image: UInt[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Colors:
     """Bilinear colours of a repeating texture at any real (u, v)."""
     height, width = image.shape[:2]
     texels = image.reshape(-1, 3)
@@ -49,9 +50,7 @@ def texture_colors(image: UInt[Any, "H W 3"], uvs: Float64[Any, "P 2"]) -> Float
     return colors
 
 
-def surface_colors(
-    mesh: TexturedMesh, points: SurfacePoints, slot: Slot = "base_color"
-) -> Float32[Any, "P 3"]:
+def surface_colors(mesh: TexturedMesh, points: SurfacePoints, slot: Slot = "base_color") -> Colors:
     """The colours of points, or the values of another slot there, in [0, 1] as they are stored.
 
     Texture coordinates are those of the point's own face, so a UV seam never mixes two charts.
@@ -120,7 +119,7 @@ def _barycentrics(points: Places, corners: Float64[Any, "P 3 3"]) -> Float64[Any
 
 
 def ring_points(
-    triangulation: Triangulation, samples: int, rng: np.random.Generator
+    triangulation: Triangulation, samples: int, rng: Rng
 ) -> tuple[SurfacePoints, Int[Any, "V S"]]:
     """Points uniform by area in each vertex's one-ring, and which corner of its face the vertex is.
 

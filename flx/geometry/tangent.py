@@ -17,6 +17,8 @@ from jaxtyping import Bool, Complex128, Float64, Int
 from flx.geometry.arrays import face_areas, mark
 from flx.types import Triangulation
 
+Corners = Int[Any, "C"]
+
 
 class TangentFrames(NamedTuple):
     """The frame of every vertex and its neighbours in that frame. N is the largest number of neighbours."""
@@ -141,9 +143,7 @@ def _corner_angles(triangulation: Triangulation) -> Float64[Any, "F 3"]:
     return np.arctan2(np.linalg.norm(np.cross(out, back), axis=2), (out * back).sum(axis=2))
 
 
-def _following_corners(
-    at: Int[Any, "C"], to: Int[Any, "C"], back: Int[Any, "C"], count: int
-) -> Int[Any, "C"]:
+def _following_corners(at: Corners, to: Corners, back: Corners, count: int) -> Corners:
     """The next corner counter-clockwise around the same vertex; -1 where the boundary ends the fan."""
     if not len(at):
         return at

@@ -58,7 +58,10 @@ def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | 
 def atlases_of(asset: Asset, sizes: Iterable[tuple[int, ...]]) -> tuple[Atlas | None, ...]:
     """The texels of each texture at a size (height, width); None where it is flat."""
     textures = enumerate(zip(asset.textures, sizes, strict=True))
-    return tuple(None if texture.flat else atlas_texels(asset.mesh, n, *s) for n, (texture, s) in textures)
+    return tuple(
+        None if texture.flat else atlas_texels(asset.mesh, index, height, width)
+        for index, (texture, (height, width)) in textures
+    )
 
 
 def _shown_points(asset: Asset, atlases: Sequence[Atlas | None]) -> Iterator[SurfacePoints]:

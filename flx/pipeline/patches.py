@@ -20,7 +20,7 @@ from jaxtyping import Complex, Complex64, Float, Int, UInt8
 from PIL import Image
 
 from flx.config import FLVAE, Images
-from flx.geometry.arrays import area_normals, length_of
+from flx.geometry.arrays import Rng, area_normals, length_of
 from flx.geometry.copies import points_in_rings, queries_at
 from flx.geometry.remesh.planar import planar
 from flx.geometry.sampling import positions
@@ -96,7 +96,7 @@ def _patch(
     logs: Any,
     places: Any,
     queries: int,
-    rng: np.random.Generator,
+    rng: Rng,
 ) -> Patches:
     """The vertices nearest to `center`, and uniform points in the faces whose corners are all among them."""
     distances = np.linalg.norm(sheet.vertices - sheet.vertices[center], axis=1)
@@ -115,7 +115,7 @@ def _patch(
     )
 
 
-def _points_in_faces(sheet: Triangulation, faces: Any, count: int, rng: np.random.Generator) -> SurfacePoints:
+def _points_in_faces(sheet: Triangulation, faces: Any, count: int, rng: Rng) -> SurfacePoints:
     cumulated = np.cumsum(length_of(area_normals(sheet.vertices, sheet.faces[faces])))
     strata = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
     picked = faces[np.minimum(np.searchsorted(cumulated, strata), len(faces) - 1)]

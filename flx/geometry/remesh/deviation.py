@@ -9,7 +9,7 @@ import igl
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, mark, unit_vectors, vertex_normals
+from flx.geometry.arrays import Lengths, Vectors, area_normals, dot, mark, unit_vectors, vertex_normals
 from flx.geometry.remesh.features import features
 from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import sharpest_cosines
@@ -102,9 +102,7 @@ def measure_faces(vertices: Vertices, faces: Faces, surface: ReferenceSurface, g
     return FaceQuality(sags, excess, sharpest_cosines(vertices, faces))
 
 
-def distances_to_mesh(
-    points: Float64[Any, "N 3"], vertices: Vertices, faces: Faces
-) -> tuple[Float64[Any, "N"], Int[Any, "N"]]:
+def distances_to_mesh(points: Vectors, vertices: Vertices, faces: Faces) -> tuple[Lengths, Int[Any, "N"]]:
     """The distance of each point from a mesh, in its units, and the closest face."""
     square, face, _ = igl.point_mesh_squared_distance(points, vertices, faces)
     return np.sqrt(np.asarray(square)), np.asarray(face).astype(np.int64)

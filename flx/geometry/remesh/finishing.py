@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from flx.geometry.arrays import mark
+from flx.geometry.arrays import Rng, mark
 from flx.geometry.remesh.features import features
 from flx.geometry.remesh.operators import flip_edges
 from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
@@ -24,7 +24,7 @@ NARROW_COSINE = np.cos(np.radians(20.0))  # in faces with a smaller angle, featu
 PIN_ROUNDS = 3  # rounds of pinning; the smoothing after each loses a few points again
 
 
-def finish(mesh: Triangulation, surface: ReferenceSurface, rng: np.random.Generator) -> Triangulation:
+def finish(mesh: Triangulation, surface: ReferenceSurface, rng: Rng) -> Triangulation:
     """Pin vertices to the points that the mesh misses, widen its angles, close the remaining gaps."""
     gap = gap_to_close(mesh, surface)
     pinned, probes = np.zeros(len(mesh.vertices), bool), np.arange(len(surface.probes))
@@ -35,7 +35,7 @@ def finish(mesh: Triangulation, surface: ReferenceSurface, rng: np.random.Genera
 
 
 def widen_angles(
-    mesh: Triangulation, pinned: Bool[Any, "V"], surface: ReferenceSurface, rng: np.random.Generator
+    mesh: Triangulation, pinned: Bool[Any, "V"], surface: ReferenceSurface, rng: Rng
 ) -> Triangulation:
     """Move vertices of sharp faces at random on the surface; keep the moves that widen their sharpest corner.
 

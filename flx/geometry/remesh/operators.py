@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, cross, dot, length_of, mark, unit_vectors
+from flx.geometry.arrays import Rng, area_normals, cross, dot, length_of, mark, unit_vectors
 from flx.geometry.remesh.features import features
 from flx.geometry.topology import Topology, all_of, any_of, edge_lengths, find_edges, has_edge, topology
 from flx.types import Faces, Triangulation
@@ -31,9 +31,7 @@ CHILDREN = (
 )
 
 
-def split_edges(
-    mesh: Triangulation, topo: Topology, chosen: Bool[Any, "E"], rng: np.random.Generator
-) -> Triangulation:
+def split_edges(mesh: Triangulation, topo: Topology, chosen: Bool[Any, "E"], rng: Rng) -> Triangulation:
     """Split the chosen edges at random points near their middles; at the middles, copies would be alike."""
     vertices, faces = mesh
     new = np.full(len(chosen), -1)
@@ -93,7 +91,7 @@ def collapse_edges(
     mesh: Triangulation,
     shortest: float,
     longest: float,
-    rng: np.random.Generator,
+    rng: Rng,
     most: int | None = None,
     bend: float = 0.3,
     refused: Int[Any, "N 2"] = NO_PAIRS,
@@ -192,7 +190,7 @@ def _collapses_well(vertices, moved, faces, a, b, longest, bend):
     return ~mark(len(a), pair[bad])
 
 
-def flip_edges(mesh: Triangulation, rng: np.random.Generator, delaunay: bool, passes: int) -> Triangulation:
+def flip_edges(mesh: Triangulation, rng: Rng, delaunay: bool, passes: int) -> Triangulation:
     """Flip edges towards valence 6 (4 at a boundary) or, if `delaunay`, the intrinsic Delaunay triangulation.
 
     Features stay, except in caps; each pass flips a random independent set, those with most gain first.

@@ -3,13 +3,11 @@
 import numpy as np
 from scipy.spatial import Delaunay
 
-from flx.geometry.arrays import sum_at
+from flx.geometry.arrays import Rng, sum_at
 from flx.types import Triangulation
 
 
-def planar(
-    count: int, size: tuple[float, float], rng: np.random.Generator, irregularity: float = 0.3
-) -> Triangulation:
+def planar(count: int, size: tuple[float, float], rng: Rng, irregularity: float = 0.3) -> Triangulation:
     """A random Delaunay triangulation of the rectangle [0, w] x [0, h] at z = 0, with `count` vertices.
 
     `irregularity` is the share of points that are uniform at random instead of relaxed (Lloyd's algorithm):

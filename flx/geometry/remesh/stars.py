@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from flx.geometry.arrays import area_normals, dot, mark, squared_sides, sum_at, unit_vectors
+from flx.geometry.arrays import Rng, area_normals, dot, mark, squared_sides, sum_at, unit_vectors
 from flx.geometry.topology import Topology
 from flx.types import Faces, Vertices
 
@@ -29,7 +29,7 @@ class Stars:
         sums = sum_at(self.owners[:, None], corners, self.size)
         return sums / (2 * np.bincount(self.owners, minlength=self.size))[:, None]
 
-    def random_steps(self, scale: float, rng: np.random.Generator) -> Float64[Any, "N 3"]:
+    def random_steps(self, scale: float, rng: Rng) -> Float64[Any, "N 3"]:
         """Random moves of the centres along the surface; `scale` bounds their standard deviations."""
         step = rng.normal(size=(self.size, 3)) * (scale * rng.random(self.size))[:, None]
         return step - dot(step, self.normals)[:, None] * self.normals

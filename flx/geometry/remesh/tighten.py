@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
-from flx.geometry.arrays import area_normals, dot, length_of, mark, sum_at, unit_vectors
+from flx.geometry.arrays import Rng, area_normals, dot, length_of, mark, sum_at, unit_vectors
 from flx.geometry.remesh.deviation import EASY, distances_to_mesh, measure_faces, measure_mesh
 from flx.geometry.remesh.operators import disjoint, edge_quads, flipped, ranks
 from flx.geometry.remesh.smoothing import ReferenceSurface
@@ -74,9 +74,7 @@ def pin_missed_points(
     return Triangulation(vertices, faces), pinned | mark(topo.count, movers[good]), again
 
 
-def tighten(
-    mesh: Triangulation, surface: ReferenceSurface, gap: float, rng: np.random.Generator
-) -> Triangulation:
+def tighten(mesh: Triangulation, surface: ReferenceSurface, gap: float, rng: Rng) -> Triangulation:
     """Random local search: move vertices and flip edges, and keep the changes that lower the cost (`_cost`).
 
     The search covers only the surroundings of bad faces: far from the surface, missing a point of it by more
