@@ -12,7 +12,7 @@ from flx.assets.formats.obj_source import ObjSource
 from flx.assets.formats.parts import Part
 from flx.geometry.atlas import atlas_texels, paint
 from flx.geometry.sampling import surface_colors
-from flx.types import Layer, TexturedMesh
+from flx.types import Layer
 
 INSTALL = "pip install '.[uv]' in the clone"
 PADDING = 4  # texels between charts on a texture of about 1024²: seams stay closed down to a quarter of it
@@ -46,9 +46,7 @@ def unwrapped(asset: Asset) -> Asset:
     faces, uvs = faces.astype(np.int64), uvs.astype(np.float64)
 
     layer = Layer((), np.zeros(len(faces), np.int64), uvs[faces])
-    charted = TexturedMesh(
-        mesh.vertices, mesh.faces, {"base_color": layer}, np.zeros_like(mesh.corner_colors)
-    )
+    charted = mesh._replace(maps={"base_color": layer}, corner_colors=np.zeros_like(mesh.corner_colors))
     atlas = atlas_texels(charted, 0, charts.height, charts.width)
     image = paint(atlas, surface_colors(mesh, atlas.points))
     parts, corners = _split(asset, faces, uvs)

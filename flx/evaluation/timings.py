@@ -63,8 +63,7 @@ def codec_rows(repeats: int = 3) -> list[dict[str, Any]]:
         ("decode", lambda: codec.decode(points, z), TEXELS),
     ]
     for name, call, count in calls:
-        row = _row(f"{name}/{count}", count, _median_seconds(call, repeats))
-        rows.append({**row, "peak_bytes": peak_bytes()})
+        rows.append(_row(name, count, _median_seconds(call, repeats)) | {"peak_bytes": peak_bytes()})
     return [*rows, *_transformer(FLVAE(), repeats)]
 
 
@@ -88,13 +87,13 @@ def _transformer(config: FLVAE, repeats: int) -> list[dict[str, Any]]:
         compiled = jax.jit(function).lower(params, rings).compile()
         seconds = _median_seconds(lambda c=compiled: jax.block_until_ready(c(params, rings)), repeats)
         flops: Any = compiled.cost_analysis()
-        row = _row(f"transformer_{name}/{RINGS}", RINGS, seconds)
-        rows.append({**row, "gflops": 1e-9 * flops["flops"] / seconds})
+        gflops = 1e-9 * flops["flops"] / seconds
+        rows.append(_row(f"transformer_{name}", RINGS, seconds) | {"gflops": gflops})
     return rows
 
 
 def _row(name: str, count: int, seconds: float) -> dict[str, Any]:
-    return {"name": name, "seconds": seconds, "per_second": round(count / seconds)}
+    return {"name": f"{name}/{count}", "seconds": seconds, "per_second": round(count / seconds)}
 
 
 def _rings(count: int, samples: int) -> RingSamples:

@@ -121,6 +121,7 @@ ACCESSOR = {
         "values": VIEW,
     },
 }
+SPAN = dict.fromkeys(("byteOffset", "byteLength", "byteStride"), _whole)
 PBR = {"baseColorFactor": 4}
 SOURCE = {"source": _index("images")}
 GLTF: Rule = {
@@ -135,9 +136,7 @@ GLTF: Rule = {
     "textures": [{**SOURCE, "extensions": {EACH: SOURCE}}],
     "images": [{"name": _text, "uri": _text, "mimeType": _text, "bufferView": _index("bufferViews")}],
     "accessors": [ACCESSOR],
-    "bufferViews": [
-        {"buffer": _index("buffers"), **dict.fromkeys(("byteOffset", "byteLength", "byteStride"), _whole)}
-    ],
+    "bufferViews": [{"buffer": _index("buffers"), **SPAN}],
     "buffers": [{"uri": _text, "byteLength": _whole}],
 }
 
