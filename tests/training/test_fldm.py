@@ -32,7 +32,7 @@ DATA = tangent_noise(jax.random.key(3), (64, 8))
 DATA = DATA * jnp.sqrt(2 / jnp.mean(jnp.abs(DATA) ** 2))  # exactly as large as noise
 
 
-@pytest.mark.parametrize("predicts", ["noise", "velocity"])
+@pytest.mark.parametrize("predicts", ["velocity", pytest.param("noise", marks=pytest.mark.slow)])
 def test_the_loss_is_zero_for_who_knows_the_answer_and_one_for_who_says_nothing(predicts):
     model = FLDM(predicts=predicts)
     batch = MeshBatch(stack([mesh_tables(square_grid(8))] * 50), jnp.stack([DATA] * 50))
