@@ -43,7 +43,8 @@ class Topology:
     @cached_property
     def inner(self) -> Int[Any, "N 2"]:
         """The two corners opposite to each edge that has two faces."""
-        return self.corners[self.uses == 2]
+        at = self.first[self.uses == 2]
+        return np.stack([self.opposite[at], self.opposite[at + 1]], 1)
 
     @cached_property
     def face_edges(self) -> Int[Any, "F 3"]:
