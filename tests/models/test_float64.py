@@ -1,7 +1,7 @@
 """Symmetries of the whole networks, to nine digits: everything here runs in float64.
 
-In float32 a deep network amplifies rounding by its |x|⁻¹ terms, so that its laws hold to two digits only and
-a small break of symmetry would pass. Here tables, parameters and fields are float64, and nothing passes.
+In float32 rounding hides a small break of symmetry. Here tables, parameters and fields are float64, and
+nothing passes.
 """
 
 import functools
