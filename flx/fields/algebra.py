@@ -76,7 +76,10 @@ def complex_linear_pairs(
 def vn_nonlinearity(
     q: Complex[Array, "*V C"], k: Complex[Array, "*V C"], delta: float = 1e-6
 ) -> Complex[Array, "*V C"]:
-    """Q + ReLU(−⟨Q, K⟩) / (|K|² + δ) · K: removes the component of Q against K (paper, VN nonlinearity)."""
+    """Q + ReLU(−⟨Q, K⟩) / (|K|² + δ) · K: removes the component of Q against K (paper, VN nonlinearity).
+
+    Its slope in K reaches |Q| / (2√δ): a small δ amplifies small changes, rounding too, layer after layer.
+    """
     return q + (jax.nn.relu(-inner(q, k)) / (squared_modulus(k) + delta)) * k
 
 

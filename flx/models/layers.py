@@ -91,11 +91,12 @@ class VNLayer(nn.Module):
 
     features: int
     precision: Precision = "float32"
+    delta: float = 1e-6  # where |K|² is smaller, the nonlinearity fades
 
     @nn.compact
     def __call__(self, x: Complex[Array, "*V C"]) -> Complex[Array, "*V D"]:
         q, k = jnp.split(ComplexDense(2 * self.features, self.precision)(x), 2, -1)
-        return algebra.vn_nonlinearity(q, k)
+        return algebra.vn_nonlinearity(q, k, self.delta)
 
 
 def unit_scale(_: Array, shape: tuple[int, ...]) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 
 from flx.fields.algebra import tangent_noise
 from flx.geometry.tables import mesh_tables
-from flx.types import MeshTables, OneRings
+from flx.types import MeshTables, OneRings, Pooling
 
 
 def tables_of(triangulation) -> MeshTables:
@@ -41,6 +41,26 @@ def turned(tables: MeshTables, alpha: np.ndarray) -> MeshTables:
         ).astype(p.transports.dtype),
     )
     return MeshTables(rings(tables.fine, turn), pooling, rings(tables.coarse, at_center))
+
+
+def renumbered(tables: MeshTables, fine: np.ndarray, coarse: np.ndarray) -> MeshTables:
+    """The same surface with the rows of both levels in another order: new row i is old row order[i]."""
+    fine_place, coarse_place = np.argsort(fine), np.argsort(coarse)
+
+    def rings(r: OneRings, order: np.ndarray, place: np.ndarray) -> OneRings:
+        return OneRings(place[r.neighbors[order]].astype(np.int32), *(a[order] for a in r[1:]))
+
+    p = tables.pooling
+    pooling = Pooling(
+        fine_place[p.centers[coarse]].astype(np.int32),
+        coarse_place[p.parents[fine]].astype(np.int32),
+        p.transports[fine],
+        fine_place[p.children[coarse]].astype(np.int32),
+        *(a[coarse] for a in p[4:]),
+    )
+    return MeshTables(
+        rings(tables.fine, fine, fine_place), pooling, rings(tables.coarse, coarse, coarse_place)
+    )
 
 
 def padded(rings: OneRings, slots: int = 2, vertices: int = 3) -> OneRings:

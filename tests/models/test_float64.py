@@ -1,7 +1,7 @@
 """Symmetries of the whole networks, to nine digits: everything here runs in float64.
 
-In float32 a deep network amplifies rounding by its |x|⁻¹ terms, so that its laws hold to two digits only and
-a small break of symmetry would pass. Here tables, parameters and fields are float64, and nothing passes.
+In float32 rounding hides a small break of symmetry. Here tables, parameters and fields are float64, and
+nothing passes.
 """
 
 import functools
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.frames import relative, turned
+from helpers.frames import relative, renumbered, turned
 from helpers.surfaces import icosphere, moved, sheet
 
 from flx.config import FLDM, FLVAE
@@ -22,7 +22,7 @@ from flx.models.codec.vae import FieldLatentVAE
 from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.codec import initial_params
-from flx.types import MeshTables, OneRings, Pooling, Queries, RingSamples, Triangulation
+from flx.types import OneRings, Queries, RingSamples, Triangulation
 
 EXACT = 1e-9
 # What is compiled here runs once or twice: it need not be fast.
@@ -161,25 +161,6 @@ def test_denoisers_do_not_mind_the_numbering(name):
     tables = renumbered(TABLES, fine, coarse)
     assert relative(network.answer(network.params, tables, z[fine], RHO[fine]), here[fine]) < EXACT
     assert relative(network.answer(network.params, tables, z, RHO), here) > 1e-3
-
-
-def renumbered(tables: MeshTables, fine: np.ndarray, coarse: np.ndarray) -> MeshTables:
-    fine_place, coarse_place = np.argsort(fine), np.argsort(coarse)
-
-    def rings(r: OneRings, order: np.ndarray, place: np.ndarray) -> OneRings:
-        return OneRings(place[r.neighbors[order]].astype(np.int32), *(a[order] for a in r[1:]))
-
-    p = tables.pooling
-    pooling = Pooling(
-        fine_place[p.centers[coarse]].astype(np.int32),
-        coarse_place[p.parents[fine]].astype(np.int32),
-        p.transports[fine],
-        fine_place[p.children[coarse]].astype(np.int32),
-        *(a[coarse] for a in p[4:]),
-    )
-    return MeshTables(
-        rings(tables.fine, fine, fine_place), pooling, rings(tables.coarse, coarse, coarse_place)
-    )
 
 
 @pytest.mark.slow

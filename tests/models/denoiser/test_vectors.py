@@ -43,19 +43,18 @@ def test_a_block_turns_with_the_frames(filter):
     before = block.apply(params, x, TORUS.fine, embedding)[0]
     after = block.apply(params, turn * x, turned(TORUS, alpha).fine, embedding)[0]
     assert relative(after, turn * before) < 1e-5
-    assert relative(before, x) > 0.1  # the block does something
+    assert relative(before, x) > 0.05  # the block does something
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("filter", FILTERS)
 def test_the_denoiser_turns_with_the_frames(filter):
-    """A loose bound, tight for blocks: the whole net amplifies rounding by its |x|⁻¹ terms."""
     alpha = np.random.default_rng(0).uniform(0, 2 * np.pi, COUNT)
     turn = np.exp(1j * alpha)[:, None].astype(np.complex64)
     apply, params = denoiser(filter)
     z, t = field(COUNT, 3), jnp.float32(300.0)
     expected = turn * apply(params, TORUS, z, t, RHO)
-    assert relative(apply(params, turned(TORUS, alpha), turn * z, t, RHO), expected) < 1e-2
+    assert relative(apply(params, turned(TORUS, alpha), turn * z, t, RHO), expected) < 1e-5
     # The check fails where the frames turn and the vectors do not.
     assert relative(apply(params, turned(TORUS, alpha), z, t, RHO), expected) > 0.1
 

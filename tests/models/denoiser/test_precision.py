@@ -1,0 +1,139 @@
+"""Laws of whole denoisers in the precision that they run in, before and after some training.
+
+Rounding to bfloat16 moves each product by a thousandth or two. A well-conditioned network then gives almost
+the same answer in all frames and numberings; an ill-conditioned one gives another answer.
+"""
+
+import functools
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.frames import frames, renumbered, turned
+from helpers.surfaces import uneven_sphere
+
+from flx.config import FLDM, Train
+from flx.fields.algebra import squared_modulus, tangent_noise
+from flx.geometry.tables import exact_tables, mesh_tables, stack
+from flx.pipeline.generator import network_of
+from flx.training.fldm import MeshBatch, diffusion_loss
+from flx.training.loop import initial_state, make_step
+
+pytestmark = pytest.mark.slow
+
+BOUNDS = {"bfloat16": 1e-2, "float32": 1e-6, "float64": 1e-14}
+VECTORS = FLDM(network="vectors", latents=5, channels=8, embedding=16, blocks=(1, 1, 1))
+NETWORKS = {
+    "harmonic": VECTORS,
+    "mlp": replace(VECTORS, filter="mlp"),
+    "mixed": replace(VECTORS, network="mixed", invariants=2),
+}
+SPHERE = uneven_sphere(0, 200)
+COUNT = len(SPHERE.vertices)
+STEP = 300.0
+# What is compiled here runs a few times.
+compiled = functools.partial(
+    jax.jit, compiler_options={"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+)
+
+
+class Trained(NamedTuple):
+    """A network's parameters before and after it learnt one field."""
+
+    config: FLDM
+    first: Any
+    last: Any
+    losses: list[float]
+
+
+@functools.cache
+def trained(name: str, steps: int = 60) -> Trained:
+    """With Adam, at the default precision, on a field that is smooth over the surface."""
+    config = NETWORKS[name]
+    assert config.precision == FLDM().precision == "bfloat16"
+    network, tables = network_of(config), mesh_tables(SPHERE)
+    z = smooth(tables, config.latents)
+    first = compiled(network.init)(jax.random.key(0), tables, z, jnp.float32(1))
+    train = Train(steps=steps, learning_rate=3e-3)
+    state, step = initial_state(train, first), compiled(make_step(train, diffusion_loss(config, network)))
+    batch, losses = MeshBatch(stack([tables]), z[None]), []
+    for _ in range(steps):
+        state, scalars = step(state, batch)
+        losses.append(float(scalars["loss"]))
+    return Trained(config, first, state.params, losses)
+
+
+def smooth(tables: Any, channels: int) -> jax.Array:
+    r = jax.tree.map(jnp.asarray, tables.fine)
+    z = tangent_noise(jax.random.key(3), (COUNT, channels))
+    for _ in range(3):
+        z = jnp.einsum("vk,vkc->vc", r.weights * r.transports, z[r.neighbors])
+    return z * jnp.sqrt(2 / jnp.mean(squared_modulus(z), 0))
+
+
+@functools.cache
+def compiled_answer(name: str, precision: str) -> Any:
+    """(parameters, tables, z) → ε̂. Float64 is what a network computes in if its inputs are."""
+    config = NETWORKS[name]
+    network = network_of(replace(config, precision="float32" if precision == "float64" else precision))
+    return compiled(lambda params, tables, z: network.apply(params, tables, z, jnp.float32(STEP)))
+
+
+def difference(a: Any, b: Any) -> float:
+    """Relative, root mean square."""
+    a, b = np.asarray(a), np.asarray(b)
+    assert np.abs(b).max() > 1e-3, "a comparison with zero says nothing"
+    return float(np.linalg.norm(a - b) / np.linalg.norm(b))
+
+
+cases = pytest.mark.parametrize(
+    ("name", "when"), [(name, when) for name in NETWORKS for when in ("untrained", "trained")]
+)
+
+
+@cases
+@pytest.mark.parametrize("precision", BOUNDS)
+def test_answers_turn_with_the_frames_and_do_not_mind_the_numbering(name, when, precision):
+    learnt, exact = trained(name), precision == "float64"
+    params: Any = learnt.first if when == "untrained" else learnt.last
+    config, alpha, rng = learnt.config, frames(COUNT), np.random.default_rng(2)
+    vectors = np.arange(config.latents) < config.code_channels[0]
+    turns = np.where(vectors, np.exp(1j * alpha)[:, None], 1)
+    z = np.asarray(tangent_noise(jax.random.key(8), (COUNT, config.latents)))
+    with jax.enable_x64(exact):
+        tables = exact_tables(SPHERE) if exact else mesh_tables(SPHERE)
+        wide, real = (np.complex128, np.float64) if exact else (np.complex64, np.float32)
+        params = jax.tree.map(lambda a: np.asarray(a, real), params)
+        answer = functools.partial(compiled_answer(name, precision), params)
+        here = np.asarray(answer(tables, z.astype(wide)))
+        assert here.dtype == wide
+
+        there = answer(turned(tables, alpha), (z * turns).astype(wide))
+        assert difference(there, here * turns) < BOUNDS[precision]
+        assert difference(answer(tables, (z * turns).astype(wide)), here * turns) > 0.1
+
+        order = rng.permutation(COUNT)
+        again = renumbered(tables, order, rng.permutation(len(tables.coarse.masses)))
+        assert difference(answer(again, z[order].astype(wide)), here[order]) < BOUNDS[precision]
+        assert difference(answer(tables, z[order].astype(wide)), here[order]) > 0.1
+
+
+@cases
+def test_a_small_change_of_the_input_is_a_small_change_of_the_answer(name, when):
+    """Of a thousandth of the input, that is."""
+    learnt = trained(name)
+    params = learnt.first if when == "untrained" else learnt.last
+    z = tangent_noise(jax.random.key(8), (COUNT, learnt.config.latents))
+    change = 1e-3 * tangent_noise(jax.random.key(9), z.shape)
+    answer = functools.partial(compiled_answer(name, "float32"), params, mesh_tables(SPHERE))
+    assert difference(answer(z + change), answer(z)) < 2e-3
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_some_steps_teach_them_something(name):
+    """Or the laws after training would say nothing new."""
+    losses = trained(name).losses
+    assert np.mean(losses[-20:]) < 0.8 * np.mean(losses[:5])
