@@ -43,6 +43,7 @@ def test_importing_flx_loads_itself_and_the_standard_library():
     assert "flx" in loaded and loaded - {"flx"} <= sys.stdlib_module_names
 
 
+@pytest.mark.slow
 def test_every_module_loads_where_there_is_no_posix():
     """Windows has neither module."""
     code = (

@@ -149,7 +149,10 @@ def refusal(arguments: list[str], capsys) -> str:
     return said.err
 
 
-@pytest.mark.parametrize("arguments", [["doctor", "missing.glb"], ["sample", "runs/none"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["doctor", "missing.glb"], pytest.param(["sample", "runs/none"], marks=pytest.mark.slow)],
+)
 def test_a_refusal_is_one_line_of_a_process_too(vase, arguments):
     done = flx(*arguments, cwd=vase, status=2)
     assert done.stderr.count("\n") == 1 and arguments[1] in done.stderr and not done.stdout

@@ -104,6 +104,7 @@ def test_token_norm_gives_each_token_unit_power_whatever_its_size(size):
     np.testing.assert_allclose(np.mean(np.abs(y) ** 2, 1), 1, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_gradients_at_zero_are_numbers():
     zero = jnp.zeros((3, 2), jnp.complex64)
 

@@ -21,6 +21,10 @@ OPEN = tables_of(square_grid(6))
 SURFACES = {"sphere": SPHERE, "torus": TORUS, "square": OPEN}
 
 
+def slow(*cases: str) -> list:
+    return [pytest.param(case, marks=pytest.mark.slow) for case in cases]
+
+
 @functools.cache
 def parameters_of(filter: str, embedding: int = E):
     return init_filter(jax.random.key(7), C, D, embedding, 8, filter)
@@ -65,7 +69,7 @@ def naive(rings: OneRings, x, parameters, embedding, filter: str) -> np.ndarray:
     return response.reshape(vertices, -1) @ weight
 
 
-@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("surface", ["sphere", *slow("torus", "square")])
 @pytest.mark.parametrize("filter", FILTERS)
 def test_convolution_is_its_definition(filter, surface):
     rings = SURFACES[surface].fine
@@ -74,7 +78,7 @@ def test_convolution_is_its_definition(filter, surface):
     assert relative(result, naive(rings, x, parameters_of(filter), embedding, filter)) < 1e-5
 
 
-@pytest.mark.parametrize("level", ["fine", "coarse"])
+@pytest.mark.parametrize("level", ["fine", *slow("coarse")])
 @pytest.mark.parametrize("filter", FILTERS)
 def test_convolution_turns_with_the_frames(filter, level):
     alpha = np.random.default_rng(0).uniform(0, 2 * np.pi, len(TORUS.fine.masses))

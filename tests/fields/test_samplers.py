@@ -67,6 +67,7 @@ def test_ddim_times_go_from_the_end_to_zero(count):
     assert s[-1] == 0 and np.all(s[:-1] == t[1:])
 
 
+@pytest.mark.slow
 def test_a_gaussian_is_sampled_with_its_own_variance():
     start = tangent_noise(jax.random.key(1), (20_000, 1))
     for sampler in (samplers.ancestral(ALPHAS), samplers.ddim(ALPHAS, 200), samplers.dpm_solver(ALPHAS, 50)):
@@ -88,7 +89,7 @@ def test_the_second_order_solver_comes_closer_in_as_many_steps():
     assert error(samplers.ddim(ALPHAS, 100)) < error(samplers.ddim(ALPHAS, 25)) / 2
 
 
-@pytest.mark.parametrize("name", SAMPLERS)
+@pytest.mark.parametrize("name", [pytest.param("ancestral", marks=pytest.mark.slow), "ddim", "dpm"])
 def test_a_hook_sees_every_step_and_has_the_last_word(name):
     """It is called with the time that was reached; what it returns goes on; each step's key is its own."""
     point, table = jnp.full((3, 2), 2 - 1j), SAMPLERS[name].table

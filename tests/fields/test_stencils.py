@@ -19,7 +19,11 @@ def stencils(rings, x: jax.Array, t: jax.Array) -> list[jax.Array]:
     return [as_complex(y) for y in pairwise.stencils(rings, real_pairs(x), real_pairs(t))]
 
 
-@pytest.mark.parametrize("surface", [torus(), square_grid(9)], ids=["torus", "sheet"])
+@pytest.mark.parametrize(
+    "surface",
+    [torus(), pytest.param(square_grid(9), marks=pytest.mark.slow)],
+    ids=["torus", "sheet"],
+)
 def test_stencils_turn_as_their_order_says(surface):
     tables = tables_of(surface)
     x, t = fields(len(surface.vertices))
@@ -76,6 +80,7 @@ def test_scatter_free_gradients_are_those_of_autodiff():
         assert relative(a, b) < 1e-4
 
 
+@pytest.mark.slow
 def test_padding_is_inert():
     rings = tables_of(torus()).fine
     x, t = fields(rings.neighbors.shape[0])

@@ -155,6 +155,7 @@ def many_or_few_faces(draw) -> np.ndarray:
     return np.unique(faces, return_inverse=True)[1].reshape(-1, 3)
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(many_or_few_faces())
 def test_vertices_are_split_exactly_where_libigl_splits_any(faces):

@@ -19,12 +19,14 @@ def outcomes() -> dict[str, Outcome]:
     return {name: Outcome(**row) for name, row in json.loads(done.stdout).items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GOOD)
 def test_a_file_is_accepted_before_it_is_spoilt(outcomes, name):
     assert outcomes[name].status == 0 and not outcomes[name].lines and "vertices" in outcomes[name].said
     assert not outcomes[name].opened  # the watcher is not blind: see the next test but one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_hostile_file_is_refused_in_one_line(outcomes, case: Case):
     outcome = outcomes[case.name]

@@ -87,6 +87,7 @@ def test_a_resumed_run_is_the_uninterrupted_one(tmp_path, uninterrupted, cut):
     assert_same_bits(restore(run, config, jax.eval_shape(lambda: INIT)), state)
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_the_uninterrupted_one(tmp_path, uninterrupted):
     """`kill -9` a training process after its second checkpoint, then train on in another."""
     run = Run(tmp_path / "killed")

@@ -2,6 +2,7 @@
 
 import igl
 import numpy as np
+import pytest
 from helpers.oracles import mean_edge
 from helpers.surfaces import box, bumpy, rough, square_grid
 from hypothesis import assume, given, settings
@@ -23,6 +24,7 @@ def two_sheets(apart: float, length: float, face_each_other: bool, side: int = 7
     return ReferenceSurface(vertices, np.ascontiguousarray(np.concatenate([low, high + len(points)])), length)
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(
     apart=st.floats(0.02, 3),

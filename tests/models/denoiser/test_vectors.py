@@ -25,6 +25,7 @@ def test_each_part_has_as_many_blocks_as_asked(network):
         assert {leaf.shape[0] for leaf in jax.tree.leaves(params[part])} == {count}
 
 
+@pytest.mark.slow
 def test_a_block_that_adds_nothing_is_the_identity():
     x, embedding = field(COUNT, 6), jnp.ones(8)
     block = FCResNetBlock(SMALL)
