@@ -97,20 +97,23 @@ def load_codec(path: str | Path | None = None) -> Codec:
     try:
         with safe_open(path, "numpy") as file:
             config = FLVAE(**json.loads((file.metadata() or {})["flvae"]))
-            tensors = {tuple(name.split("/")): file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ValueError(
             f"{path} holds no FL-VAE weights ({reason}); train some with `flx train experiments/flvae.py`, "
             "or leave --weights out for the released ones"
         ) from None
-    expected: Any = jax.eval_shape(lambda: initial_params(config, 0))
-    shapes: dict = jax.tree.map(np.shape, tensors)
-    wanted: dict = jax.tree.map(lambda leaf: leaf.shape, flatten_dict(expected["params"]))
-    if shapes != wanted:
-        odd = "/".join(sorted(k for k in shapes | wanted if shapes.get(k) != wanted.get(k))[0])
+    if odd := odd_parameter(tensors, jax.eval_shape(lambda: initial_params(config, 0))):
         raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")
-    return Codec(config, {"params": unflatten_dict(jax.tree.map(jnp.asarray, tensors))})
+    return Codec(config, {"params": unflatten_dict(jax.tree.map(jnp.asarray, tensors), "/")})
+
+
+def odd_parameter(tensors: dict[str, np.ndarray], expected: Any) -> str | None:
+    """The first name, if any, at which a file's tensors are not the parameters that a network expects."""
+    ours: dict = jax.tree.map(np.shape, tensors)
+    wanted: dict = jax.tree.map(np.shape, flatten_dict(expected["params"], sep="/"))
+    return min((name for name in ours | wanted if ours.get(name) != wanted.get(name)), default=None)
 
 
 def initial_params(config: FLVAE, seed: int) -> Any:

@@ -36,7 +36,7 @@ from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.canvas import bake, open_canvas
-from flx.pipeline.codec import Codec
+from flx.pipeline.codec import Codec, initial_params, odd_parameter
 from flx.types import MeshTables, Triangulation
 
 
@@ -177,6 +177,12 @@ def network_of(model: FLDM) -> UNet:
     return (MixedDenoiser if model.network == "mixed" else Denoiser)(model, model.blocks)
 
 
+def parameter_shapes(model: FLDM, tables: MeshTables) -> Any:
+    """Of the network of a complete model: its parameters, as `jax.ShapeDtypeStruct`s."""
+    z = jax.ShapeDtypeStruct((len(tables.fine.masses), model.latents), jnp.complex64)
+    return jax.eval_shape(network_of(model).init, jax.random.key(0), tables, z, jnp.float32(1))
+
+
 def learnt_generator(
     experiment: FLDMExperiment,
     params: Any,
@@ -244,7 +250,8 @@ def read_generator(path: Path) -> Generator:
 
 def _parse(record: dict[str, Any], tensors: dict[str, np.ndarray]) -> Generator:
     experiment = cast(FLDMExperiment, from_json(FLDMExperiment, record["experiment"], "experiment"))
-    codec = Codec(cast(FLVAE, from_json(FLVAE, record["codec"], "codec")), _nested("codec", tensors))
+    config = cast(FLVAE, from_json(FLVAE, record["codec"], "codec"))
+    codec = Codec(config, _nested("codec", tensors, jax.eval_shape(lambda: initial_params(config, 0))))
     surface, source = experiment.surface, record["source"]
     shift, scale = tensors["scaling"].view(np.complex64)
     if len(scale) != codec.config.latents:
@@ -252,13 +259,14 @@ def _parse(record: dict[str, Any], tensors: dict[str, np.ndarray]) -> Generator:
     home = Triangulation(tensors["home/vertices"], tensors["home/faces"].astype(np.int64))
     if not len(home.faces) or not 0 <= home.faces.min() <= home.faces.max() < len(home.vertices):
         raise ValueError("a face of its triangulation names a vertex that is not there")
+    tables = mesh_tables(home, surface.slots, surface.seed)
     files = {n.removeprefix("asset/"): t.tobytes() for n, t in tensors.items() if n.startswith("asset/")}
     return learnt_generator(
         experiment,
-        _nested("network", tensors),
+        _nested("network", tensors, parameter_shapes(experiment.model, tables)),
         Scaling(shift, scale),
         codec,
-        Home(home, mesh_tables(home, surface.slots, surface.seed)),
+        Home(home, tables),
         Source(source["mesh"], source["texture"], source["digest"], files),
         record["step"],
     )
@@ -268,9 +276,14 @@ def _flat(prefix: str, params: Any) -> dict[str, np.ndarray]:
     return {f"{prefix}/" + "/".join(name): np.asarray(leaf) for name, leaf in flatten_dict(params).items()}
 
 
-def _nested(prefix: str, tensors: dict[str, np.ndarray]) -> Any:
-    names = {n: tuple(n.split("/")[1:]) for n in tensors if n.startswith(f"{prefix}/")}
-    return {"params": unflatten_dict({names[n]: jnp.asarray(tensors[n]) for n in names})}
+def _nested(prefix: str, tensors: dict[str, np.ndarray], expected: Any) -> Any:
+    """The parameters of a network. Raises ValueError where their names or shapes are not those expected."""
+    flat = {n.removeprefix(f"{prefix}/"): t for n, t in tensors.items() if n.startswith(f"{prefix}/")}
+    if odd := odd_parameter(flat, expected):
+        raise ValueError(
+            f"{prefix}/{odd} differs: another version of flx made it; use that version or train anew"
+        )
+    return {"params": unflatten_dict(jax.tree.map(jnp.asarray, flat), "/")}
 
 
 def _digest(tensors: dict[str, np.ndarray], text: str) -> str:

@@ -20,7 +20,14 @@ from flx.models.denoiser.depth import complete, reach
 from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.pipeline.codec import Codec, load_codec
 from flx.pipeline.copies import open_cache, prepare
-from flx.pipeline.generator import Generator, Home, learnt_generator, network_of, save_generator
+from flx.pipeline.generator import (
+    Generator,
+    Home,
+    learnt_generator,
+    network_of,
+    parameter_shapes,
+    save_generator,
+)
 from flx.training.log import say
 from flx.training.loop import LossFn, restore, train
 from flx.training.run import Run, open_run
@@ -94,11 +101,8 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     surface, codec = experiment.surface, load_codec(experiment.weights)
     experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
     asset = read_copy(run, surface)
-    whole, scaling, home = load_copies(run, asset, surface, codec)
-    first = jax.tree.map(lambda a: a[0], whole)
-    network = network_of(experiment.model)
-    shapes = jax.eval_shape(network.init, jax.random.key(0), first.tables, first.latents, jnp.float32(1))
-    state = restore(run, experiment.train, shapes)
+    _, scaling, home = load_copies(run, asset, surface, codec)
+    state = restore(run, experiment.train, parameter_shapes(experiment.model, home.tables))
     source = source_of(run, surface, asset)
     return learnt_generator(experiment, state.ema, scaling, codec, home, source, int(state.step))
 

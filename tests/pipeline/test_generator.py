@@ -12,6 +12,8 @@ import pytest
 from helpers.surfaces import icosphere
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors import safe_open
+from safetensors.numpy import save
 
 from flx.assets.read import read_asset
 from flx.config import FLDM, FLDMExperiment, Surface
@@ -24,6 +26,7 @@ from flx.pipeline.generator import (
     Generator,
     Home,
     Source,
+    _digest,
     generate,
     learnt_generator,
     network_of,
@@ -155,6 +158,30 @@ def test_a_torn_file_is_refused(file, tmp_path, length):
     torn.write_bytes(file.read_bytes()[:length])
     with pytest.raises(ValueError, match="cannot be used as a generator"):
         read_generator(torn)
+
+
+@pytest.mark.parametrize(("part", "last"), [("network", "/size"), ("codec", "")])
+def test_a_network_of_another_version_is_refused(file, tmp_path, part, last):
+    """One parameter is lacking, or has another shape; the rest of the file is sound."""
+    with safe_open(file, "numpy") as content:
+        text = content.metadata()["generator"].partition(" ")[2]
+        tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
+    other = tmp_path / "generator.safetensors"
+
+    def read(tensors: dict[str, np.ndarray]) -> Generator:
+        other.write_bytes(save(tensors, {"generator": f"{_digest(tensors, text)} {text}"}))
+        return read_generator(other)
+
+    assert read(tensors).step == 7
+    place = min(name for name in tensors if name.startswith(f"{part}/") and name.endswith(last))
+    for spoilt in (
+        {name: tensor for name, tensor in tensors.items() if name != place},
+        tensors | {place: tensors[place][..., :-1].copy()},
+        tensors | {place + "2": tensors[place]},
+    ):
+        with pytest.raises(ValueError, match=f"generator .{place}2? differs.*another version") as refusal:
+            read(spoilt)
+        assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["../evil.ply", "/tmp/flx-evil.ply", "files/../../evil.ply"])

@@ -99,6 +99,7 @@ def test_torn_saves_are_ignored_by_readers_and_cleared_by_the_writer(tmp_path):
             r"\['w'\] has shape \(5, 3\), not \(5, 4\)",
         ),
         ({"v": np.ones((5, 3), np.float32)}, "have other names"),
+        (state_of(1).params | {"size": np.ones(3, np.float32)}, "have other names"),
     ],
 )
 def test_another_network_is_refused(tmp_path, params, told):
