@@ -1,5 +1,6 @@
 """`flx train`: prepare and train what a config describes, or learn a mesh with the demo's settings."""
 
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -75,5 +76,8 @@ def _experiment(path: Path) -> Experiment:
 def _run(experiment: Experiment) -> None:
     run = learn(experiment)
     if isinstance(experiment, FLDMExperiment):
-        print(f"{run.folder}: learnt; flx sample {run.folder} makes new textures", file=sys.stderr)
+        print(
+            f"{run.folder}: learnt; flx sample {shlex.quote(str(run.folder))} makes new textures",
+            file=sys.stderr,
+        )
     print(run.folder)

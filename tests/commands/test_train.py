@@ -1,12 +1,22 @@
-"""Law of `flx train`: what cannot be trained is refused before anything is made."""
+"""Laws of `flx train`: what cannot be trained is refused before anything is made, and what it tells works."""
+
+from pathlib import Path
 
 import pytest
 
+from flx.commands import train
 from flx.commands.train import learn
-from flx.config import FLVAE, FLVAEExperiment
+from flx.config import FLVAE, FLDMExperiment, FLVAEExperiment
+from flx.training.run import Run
 
 
 def test_a_model_that_cannot_be_made_leaves_no_run_behind(tmp_path):
     with pytest.raises(ValueError, match="invariants"):
         learn(FLVAEExperiment(model=FLVAE(encoder="frame")), tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_next_command_is_told_as_a_shell_takes_it(monkeypatch, capsys):
+    monkeypatch.setattr(train, "learn", lambda experiment: Run(Path("runs/my vase")))
+    train._run(FLDMExperiment())
+    assert "; flx sample 'runs/my vase' makes" in capsys.readouterr().err
