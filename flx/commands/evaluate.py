@@ -1,18 +1,79 @@
-"""`flx evaluate`: how well each method keeps the textures of some meshes."""
+"""`flx evaluate`: how good samples are, or how well each method keeps the textures of some meshes."""
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
 
 from flx.config import Comparison
 
 
 @dataclass(frozen=True)
 class Evaluate(Comparison):
-    """Measure methods side by side: table.json and table.md. Rows that are already there are kept.
+    """Judge samples: fidelity, coverage, copying, diversity, as evaluation.html and evaluation.json.
 
-    Example: flx evaluate --reconstruction bowl.glb can.glb --vertices 30000 5000 --images photos --out table
+    flx evaluate runs/demo                                makes variations of a run and judges them
+    flx evaluate INPUT.glb --samples A.glb B.glb          judges any meshes against an input
+    flx evaluate --reconstruction bowl.glb --out table    measures codecs: table.json and table.md
     """
 
-    def __call__(self) -> None:
-        from flx.evaluation.reconstruction import markdown, reconstruction_table
+    source: Positional[Path | None] = None  # a run folder, a generator.safetensors, or the input's mesh file
+    samples: tuple[Path, ...] = ()  # mesh files to judge; without them the run makes variations
+    count: int = 4  # variations that the run makes
+    steps: int = 50  # evaluations of the network for each
 
-        print(markdown(reconstruction_table(self)), end="")
+    def __call__(self) -> None:
+        if self.source is None:
+            from flx.evaluation.reconstruction import markdown, reconstruction_table
+
+            print(markdown(reconstruction_table(self)), end="")
+        else:
+            print(judge(self, self.source))
+
+
+def judge(options: Evaluate, source: Path) -> Path:
+    """Write the page and the numbers; return the page.
+
+    Raises ValueError for what cannot be read, and for a mesh file without samples.
+    """
+    from flx.assets.read import read_asset
+    from flx.evaluation.controls import controls
+    from flx.evaluation.report import page
+    from flx.evaluation.samples import judge_samples
+    from flx.files import write_atomically
+    from flx.geometry.render import contact_sheet, render
+    from flx.pipeline.canvas import VIEWS, check_size, shown
+    from flx.pipeline.generator import generate, reconstruct
+    from flx.training.load import load_generator
+
+    if options.reconstruction:
+        raise ValueError(f"give {source} or --reconstruction, not both: they measure different things")
+    if options.count < 1 or options.steps < 1:
+        raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
+    size, others, up = options.texture_size or 1024, {}, "y"
+    check_size(size)
+    samples = {path.stem: read_asset(path).mesh for path in options.samples}
+    if source.is_dir() or source.suffix == ".safetensors":
+        generator = load_generator(source)
+        asset, up = generator.asset, generator.experiment.surface.up
+        folder = (source if source.is_dir() else source.parent) / "evaluation"
+        if not samples:
+            made = generate(generator, options.count, options.seed, options.steps, texture_size=size)
+            samples = {f"sample {n}": shown(asset, painting) for n, painting in enumerate(made)}
+            others["codec"] = shown(asset, reconstruct(generator, size))
+    elif samples:
+        asset, folder = read_asset(source), Path("evaluation")
+    else:
+        raise ValueError(f"{source} is a mesh; name the meshes to judge after --samples, or give a run")
+    others |= controls(asset.mesh, options.seed)
+    rows = judge_samples(asset.mesh, samples, others, options.seed)
+    out, meshes = options.out or folder, {"input": asset.mesh, **samples, **others}
+    views = [
+        [render(mesh, azimuth=a, elevation=e, size=256, up=up) for mesh in meshes.values()] for a, e in VIEWS
+    ]
+    record = {"source": str(source), "seed": options.seed, "steps": options.steps, "rows": rows}
+    write_atomically(out / "evaluation.json", (json.dumps(record, indent=2) + "\n").encode())
+    sheet = contact_sheet(views, list(meshes))
+    write_atomically(out / "evaluation.html", page(f"{source.name}: samples judged", sheet, rows).encode())
+    return out / "evaluation.html"

@@ -10,6 +10,7 @@ import importlib.util
 import io
 import pickle
 from collections.abc import Iterator
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +29,7 @@ SCALE = np.array([0.458, 0.448, 0.450], np.float32)  # their standard deviation
 TILE = 512  # side of a tile in pixels, without margins; VGG16 needs 1.4 GB for 512, 2.6 GB for 1024
 MARGIN = 128  # pixels; a feature of the last depth sees 98 pixels to each side, and its cell extends by 17
 LAYOUT = ("NHWC", "HWIO", "NHWC")  # of the convolutions' inputs, kernels and outputs
+BATCH = 64  # images whose features are computed at a time
 SMALLEST = 64  # pixels; smaller images are padded, because AlexNet's strides would shrink them to nothing
 # The globals that a pickled NumPy array refers to, under the names they had when these files were written.
 ARRAYS = {
@@ -104,6 +106,14 @@ class Judge(NamedTuple):
                 sums += np.asarray(_distances(self.stages, self.weights, own[tile], new[tile], weights))
         return float(np.sum(sums[:, 0] / sums[:, 1])) if sums.any() else float("nan")
 
+    def features(self, images: Float32[Any, "N H W 3"], depths: int) -> list[Float32[Any, "P C"]]:
+        """The features of images in [0, 1] at the first depths; a row for each place in an image."""
+        parts = [images[n : n + BATCH] for n in range(0, len(images), BATCH)]
+        stages = self.stages[:depths]
+        found = [_features(stages, self.weights, part * 2 - 1) for part in parts]
+        depth = zip(*found, strict=True)
+        return [np.concatenate([np.asarray(x).reshape(-1, x.shape[-1]) for x in xs]) for xs in depth]
+
 
 def tiles(height: int, width: int) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
     """Overlapping tiles of an image, and the interior of each in its own coordinates.
@@ -121,7 +131,7 @@ def _spans(size: int) -> Iterator[tuple[slice, slice]]:
         yield slice(start, stop), slice(first - start, min(size, first + TILE) - start)
 
 
-@jax.jit(static_argnums=0)
+@partial(jax.jit, static_argnums=0)
 def _distances(
     stages: tuple[Stage, ...],
     weights: Weights,
@@ -131,25 +141,37 @@ def _distances(
 ) -> Float[Array, "L 2"]:
     """The weighted sum of distances and the sum of weights at each depth, for one tile."""
     images = jnp.stack([own, new]).astype(jnp.float32) / 127.5 - 1
-    x, shares, sums = (images - SHIFT) / SCALE, shares[None, :, :, None], []
-    convolutions = zip(weights.kernels, weights.biases, strict=True)
-    for stage, head in zip(stages, weights.heads, strict=True):
+    shares, sums = shares[None, :, :, None], []
+    depths = zip(stages, _features(stages, weights, images), weights.heads, strict=True)
+    for stage, x, head in depths:
         if stage.pool:
-            window, strides = (stage.pool, stage.pool), (2, 2)
-            x, shares = nn.max_pool(x, window, strides), nn.avg_pool(shares, window, strides)
-        for _ in range(stage.convolutions):
-            kernel, bias = next(convolutions)
-            margin = (stage.padding, stage.padding)
-            strides, padding = (stage.stride, stage.stride), (margin, margin)
-            x = lax.conv_general_dilated(x, kernel, strides, padding, dimension_numbers=LAYOUT)
-            x = jax.nn.relu(x + bias)
-            if stage.stride > 1:
-                beyond = [(0, 0), *padding, (0, 0)]
-                shares = nn.avg_pool(jnp.pad(shares, beyond, mode="edge"), kernel.shape[:2], strides)
+            shares = nn.avg_pool(shares, (stage.pool, stage.pool), (2, 2))
+        if stage.stride > 1:
+            kernel, margin = weights.kernels[0].shape[:2], (stage.padding, stage.padding)
+            beyond = [(0, 0), margin, margin, (0, 0)]
+            shares = nn.avg_pool(jnp.pad(shares, beyond, mode="edge"), kernel, (stage.stride, stage.stride))
         features = x / (jnp.linalg.norm(x, axis=-1, keepdims=True) + 1e-10)
         distances = jnp.sum((features[0] - features[1]) ** 2 * head, -1)
         sums.append(jnp.stack([jnp.sum(distances * shares[0, :, :, 0]), jnp.sum(shares)]))
     return jnp.stack(sums)
+
+
+@partial(jax.jit, static_argnums=0)
+def _features(stages: tuple[Stage, ...], weights: Weights, images: Float32[Array, "N H W 3"]) -> list[Array]:
+    """The features of images in [−1, 1] at the end of each stage."""
+    x, found = (images - SHIFT) / SCALE, []
+    convolutions = zip(weights.kernels, weights.biases, strict=True)
+    for stage in stages:
+        if stage.pool:
+            x = nn.max_pool(x, (stage.pool, stage.pool), (2, 2))
+        for _ in range(stage.convolutions):
+            kernel, bias = next(convolutions)
+            margin = (stage.padding, stage.padding)
+            strides = (stage.stride, stage.stride)
+            x = lax.conv_general_dilated(x, kernel, strides, (margin, margin), dimension_numbers=LAYOUT)
+            x = jax.nn.relu(x + bias)
+        found.append(x)
+    return found
 
 
 # --- the weights

@@ -49,7 +49,7 @@ def reconstruction_table(options: Comparison) -> list[Row]:
 
     Raises ValueError where there is no mesh, a mesh cannot be read, or a method is unknown.
     """
-    out, methods = options.out, list(options.methods)
+    out, methods = options.out or Path("evaluation"), list(options.methods)
     if not options.reconstruction or not options.vertices:
         raise ValueError("there is nothing to evaluate; name meshes after --reconstruction")
     if unknown := [name for name in methods if name not in METHODS]:

@@ -31,6 +31,9 @@ from flx.fields import samplers
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import Scaling
 from flx.files import write_atomically
+from flx.geometry.atlas import with_filled_gutters
+from flx.geometry.copies import sample_rings
+from flx.geometry.remesh.remesh import remesh
 from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.unet import UNet, denoise, schedule
@@ -139,6 +142,19 @@ def generate(
     for n in range(count):
         key = jax.random.fold_in(jax.random.key(seed), n)
         yield bake(canvas, generator.codec.decoder(generator.sample(key, None, steps, sampler, hook)))
+
+
+def reconstruct(generator: Generator, texture_size: int | None = None) -> Painting:
+    """The asset's own texture through the codec, on a triangulation that training did not see.
+
+    It is what samples could reach at best.
+    """
+    surface, samples = generator.experiment.surface, generator.codec.config.samples
+    mesh, unseen = with_filled_gutters(generator.asset.mesh), surface.seed + surface.copies
+    triangulation = remesh(mesh.vertices, mesh.faces, len(generator.home.triangulation.vertices), unseen)
+    latents = generator.codec.encode(sample_rings(mesh, triangulation, samples, unseen))
+    canvas = open_canvas(generator.asset, triangulation, texture_size)
+    return bake(canvas, generator.codec.decoder(latents))
 
 
 def sampler_named(name: str, alphas: Float64[np.ndarray, "T"], steps: int) -> samplers.Sampler:
