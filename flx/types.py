@@ -67,6 +67,11 @@ class TexturedMesh(NamedTuple):
         return self._replace(maps={**self.maps, slot: self.maps[slot]._replace(**changes)})
 
 
+def is_srgb(slot: Slot) -> bool:
+    """Whether a slot's images are sRGB; the others hold linear numbers (glTF 2.0, section 3.9.2)."""
+    return slot in ("base_color", "emissive")
+
+
 class Triangulation(NamedTuple):
     """One remeshed copy of a surface: a manifold, oriented triangle mesh, open or closed."""
 

@@ -1,19 +1,52 @@
-"""A closer look at an asset: overlapping charts, inside-out parts, pixels in a one-ring."""
+"""A closer look at an asset: other maps, overlapping charts, inside-out parts, pixels in a one-ring."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
 
 from flx.assets.asset import Asset
+from flx.assets.formats import gltf
+from flx.assets.formats.files import BadFile
+from flx.assets.formats.gltf import Gltf
+from flx.assets.formats.images import bits_of, open_image
+from flx.assets.formats.readers import load_beside
 from flx.geometry.arrays import face_areas
 from flx.geometry.atlas import uv_areas
 from flx.geometry.raster import barycentric_planes, pixels_inside
 from flx.geometry.topology import edges_of, label_components
+from flx.types import Slot
 
 RASTER = 1024  # pixels on the longer side of the raster in which texels are counted
 MOST_PIXELS = 1 << 22  # of the raster that the surface may cover, counting repetitions
 WITHIN = 1e-6  # least barycentric of a pixel inside a face; neighbours share those on their edge
+
+
+class OtherMap(NamedTuple):
+    """An image of another slot than the base colour; 0 × 0 if it is missing or cannot be read."""
+
+    slot: Slot
+    name: str
+    width: int
+    height: int
+    bits: int  # per channel
+
+
+def other_maps(asset: Asset) -> list[OtherMap]:
+    """The maps of other slots in the file, read or not; none is decoded."""
+    return [_other_map(asset, slot, name) for slot, names in asset.map_names.items() for name in names]
+
+
+def _other_map(asset: Asset, slot: Slot, name: str) -> OtherMap:
+    try:
+        if isinstance(asset.container, Gltf):
+            content = gltf.image_bytes(asset.container, int(name.rpartition("#")[2]))
+        else:
+            content = load_beside(asset.path.parent, name)
+        image = open_image(content, name)
+        return OtherMap(slot, name, image.width, image.height, bits_of(image))
+    except (BadFile, OSError):
+        return OtherMap(slot, name, 0, 0, 0)
 
 
 def coverage(asset: Asset) -> tuple[float, float]:

@@ -17,13 +17,14 @@ from PIL import Image
 from flx.assets.asset import Painting, own_painting
 from flx.assets.formats.gltf import Gltf, accessor, append, append_view, image_bytes, read_gltf
 from flx.assets.formats.images import decode_map, encode_png
+from flx.assets.inspect import other_maps
 from flx.assets.read import read_asset
 from flx.assets.write import write
 from flx.geometry.atlas import atlas_texels, paint, with_filled_gutters
 from flx.geometry.sampling import surface_colors
 from flx.geometry.seams import seam_jump
 from flx.pipeline.canvas import shown
-from flx.types import SurfacePoints
+from flx.types import SurfacePoints, is_srgb
 
 EVERY = ("base_color", "normal", "metallic_roughness", "occlusion", "emissive")
 
@@ -113,9 +114,24 @@ def test_what_is_not_asked_for_is_not_decoded(tmp_path):
         read_asset(path, slots=["normal"])
 
 
+def test_other_maps_are_named_with_size_and_depth_whether_read_or_not(tmp_path):
+    path = save(with_maps(shared=True), tmp_path / "a.glb")
+    expected = [
+        ("normal", "image 2 #2", 5, 6, 16),
+        ("metallic_roughness", "arm #3", 8, 4, 8),
+        ("occlusion", "arm #3", 8, 4, 8),
+    ]
+    for slots in (["base_color"], ["base_color", "normal"]):
+        assert [tuple(each) for each in other_maps(read_asset(path, slots=slots))] == expected
+    lost = copy.deepcopy(with_maps())
+    del lost.document["images"][2]["bufferView"]
+    assert other_maps(read_asset(save(lost, tmp_path / "b.glb")))[0][2:] == (0, 0, 0)
+
+
 def test_a_slot_has_its_own_numbers_depth_and_flat_values(tmp_path):
     path = save(with_maps(shared=True), tmp_path / "a.glb")
     asset = read_asset(path, slots=EVERY[:4])
+    assert [is_srgb(slot) for slot in EVERY] == [True, False, False, False, True]
     image, flat = asset.mesh.maps["normal"].images
     np.testing.assert_array_equal(image, NORMALS)
     assert (flat == [128, 128, 255]).all()  # of the material without a normal map

@@ -98,10 +98,15 @@ def decode_map(content: bytes, name: str) -> tuple[UInt[Any, "H W 3"], UInt8[Any
     return pixels, alpha
 
 
+def bits_of(image: Image.Image) -> int:
+    """Bits per channel, 8 or 16, of an image that is not decoded yet."""
+    return 16 if ";16" in str(getattr(image, "tile", "")) else 8
+
+
 def original_kind(content: bytes, name: str) -> str:
     """The image's kind before conversion, such as "16-bit grey"; "" if it was 8-bit RGB or RGBA."""
     image = open_image(content, name)
-    bits = "16-bit " if ";16" in str(getattr(image, "tile", "")) else ""
+    bits = "16-bit " if bits_of(image) == 16 else ""
     kind = KINDS.get(image.mode, image.mode)
     return "" if f"{bits}{kind}" == "RGB" else f"{bits}{kind}"
 
