@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from flx.config import Comparison
+from flx.config import Comparison, Sampler
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class Evaluate(Comparison):
     samples: tuple[Path, ...] = ()  # mesh files to judge; without them the run makes variations
     count: int = 4  # variations that the run makes
     steps: int = 50  # evaluations of the network for each
+    sampler: Sampler = "ddim"  # as of `flx sample`
 
     def __call__(self) -> None:
         if self.source is None:
@@ -59,7 +60,8 @@ def judge(options: Evaluate, source: Path) -> Path:
         asset, up = generator.asset, generator.experiment.surface.up
         folder = (source if source.is_dir() else source.parent) / "evaluation"
         if not samples:
-            made = generate(generator, options.count, options.seed, options.steps, texture_size=size)
+            rules = (options.count, options.seed, options.steps, options.sampler, size)
+            made = generate(generator, *rules)
             samples = {f"sample {n}": shown(asset, painting) for n, painting in enumerate(made)}
             others["codec"] = shown(asset, reconstruct(generator, size))
     elif samples:
@@ -72,7 +74,13 @@ def judge(options: Evaluate, source: Path) -> Path:
     views = [
         [render(mesh, azimuth=a, elevation=e, size=256, up=up) for mesh in meshes.values()] for a, e in VIEWS
     ]
-    record = {"source": str(source), "seed": options.seed, "steps": options.steps, "rows": rows}
+    record = {
+        "source": str(source),
+        "seed": options.seed,
+        "sampler": options.sampler,
+        "steps": options.steps,
+        "rows": rows,
+    }
     write_atomically(out / "evaluation.json", (json.dumps(record, indent=2) + "\n").encode())
     sheet = contact_sheet(views, list(meshes))
     write_atomically(out / "evaluation.html", page(f"{source.name}: samples judged", sheet, rows).encode())

@@ -89,6 +89,17 @@ def test_the_second_order_solver_comes_closer_in_as_many_steps():
     assert error(samplers.ddim(ALPHAS, 100)) < error(samplers.ddim(ALPHAS, 25)) / 2
 
 
+@pytest.mark.parametrize("count", [20, 25, 50])
+def test_the_second_order_solver_keeps_unit_variance_where_ddim_loses_it(count):
+    """The flow of unit Gaussian data moves nothing: each step of DDIM shrinks, by the cosine of its angle."""
+    start = jnp.ones((1, 1), jnp.complex64)
+    first, second = (
+        abs(samplers.reverse(of_gaussian(1.0), sampler(ALPHAS, count), start, jax.random.key(0))[0, 0]) ** 2
+        for sampler in (samplers.ddim, samplers.dpm_solver)
+    )
+    assert first < 0.94 and abs(second - 1) < 0.02
+
+
 @pytest.mark.parametrize("name", [pytest.param("ancestral", marks=pytest.mark.slow), "ddim", "dpm"])
 def test_a_hook_sees_every_step_and_has_the_last_word(name):
     """It is called with the time that was reached; what it returns goes on; each step's key is its own."""
