@@ -67,7 +67,7 @@ def judge_samples(
     references = {share: _reference(mesh, unfolding, k, vgg, seed) for k, share in enumerate(SHARES)}
     rows: dict[str, Row] = {}
     every = {**samples, "input": mesh, **(others or {})}
-    described: dict[str, list[patches.Described]] = {}
+    described: dict[str, list[Any]] = {}
     for name, texture in every.items():
         same = texture.faces.shape == mesh.faces.shape and np.allclose(texture.vertices, mesh.vertices)
         theirs = None if same else unfold(texture.vertices, texture.faces)
@@ -128,7 +128,7 @@ def _compare(
     return row
 
 
-def _diversity(described: list[list[patches.Described]], references: Mapping[float, _Reference]) -> float:
+def _diversity(described: list[list[Any]], references: Mapping[float, _Reference]) -> float:
     """1 where two samples differ at a place as much as two places of the input do."""
     ratios = []
     for k, reference in enumerate(references.values()):

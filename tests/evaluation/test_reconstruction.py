@@ -39,7 +39,7 @@ def refuse(subject):
 
 def test_rows_that_are_there_are_kept_and_others_added(folder, monkeypatch):
     first = json.loads((folder / "out" / "table.json").read_text())["rows"]
-    monkeypatch.setattr(reconstruction, "vertex_colours", refuse)
+    monkeypatch.setattr(reconstruction.baselines, "vertex_colours", refuse)
     assert measure(folder, [400], ["vertex_colours"]) == first
     rows = measure(folder, [400], ["vertex_colours", "flvae"])
     assert rows[0] == first[0] and [row["method"] for row in rows] == ["vertex_colours", "flvae"]
