@@ -54,6 +54,8 @@ def judge(options: Evaluate, source: Path) -> Path:
         raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
     size, others, up = options.texture_size or 1024, {}, "y"
     check_size(size)
+    if len({path.stem for path in options.samples}) < len(options.samples):
+        raise ValueError("two files of --samples have the same name; rename one: rows are named after files")
     samples = {path.stem: read_asset(path).mesh for path in options.samples}
     if source.is_dir() or source.suffix == ".safetensors":
         generator = load_generator(source)

@@ -25,7 +25,7 @@ QUERIES = (400, 300, 200)  # of each new texture
 SEEN = 160  # of those, charts that VGG16 sees
 DEPTHS = 3  # of VGG16 whose features are compared
 VIEWS = ((0.0, 15.0), (90.0, 15.0), (180.0, 15.0), (270.0, 15.0))  # azimuth, elevation: for LPIPS
-HINT = "swd_vgg16 and the LPIPS of samples need the extra: pip install 'flx[eval]'"
+HINT = "swd_vgg16 and the LPIPS of samples need the extra: pip install '.[eval]' in the clone"
 
 Row = dict[str, float]
 
@@ -77,10 +77,12 @@ def judge_samples(
             if theirs is not None:
                 sites = place_charts(texture, theirs, share, QUERIES[k], np.random.default_rng([seed, k, 2]))
             charts = chart_colors(texture, sites)
-            row = _compare(reference, charts, same, vgg, np.random.default_rng([seed, k, 3]))
+            chart_descriptions = patches.describe(charts)
+            rng = np.random.default_rng([seed, k, 3])
+            row = _compare(reference, charts, chart_descriptions, same, vgg, rng)
             rows[name] |= {f"{metric}_{round(share * 100)}": value for metric, value in row.items()}
             if name in samples and same:
-                described.setdefault(name, []).append(patches.describe(charts))
+                described.setdefault(name, []).append(chart_descriptions)
     shared = [m for m in rows["input"] if all(m in rows[name] for name in samples)]
     mean = {metric: float(np.mean([rows[name][metric] for name in samples])) for metric in shared}
     if len(described) > 1:
@@ -110,10 +112,14 @@ def _features(charts: Charts, vgg: Judge | None) -> list[Float32[Any, "P C"]]:
 
 
 def _compare(
-    reference: _Reference, charts: Charts, same: bool, vgg: Judge | None, rng: np.random.Generator
+    reference: _Reference,
+    charts: Charts,
+    described: patches.Described,
+    same: bool,
+    vgg: Judge | None,
+    rng: np.random.Generator,
 ) -> Row:
     row = {}
-    described = patches.describe(charts)
     if vgg:
         depths = zip(_features(charts, vgg), reference.features, strict=True)
         row["swd_vgg16"] = float(np.mean([patches.sliced_wasserstein(a, b, rng) for a, b in depths]))

@@ -104,3 +104,8 @@ def test_a_mesh_without_samples_is_refused(tmp_path):
     write_png(tmp_path / "x.png", np.zeros((4, 4, 3), np.uint8))
     with pytest.raises(ValueError, match="--samples"):
         Evaluate(source=tmp_path / "x.png")()
+
+
+def test_samples_of_one_name_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="same name"):
+        Evaluate(source=tmp_path, samples=(tmp_path / "a" / "x.glb", tmp_path / "b" / "x.glb"))()
