@@ -28,12 +28,22 @@ if TYPE_CHECKING:
     from flx.assets.vase import vase_asset as vase
     from flx.assets.write import write as save
     from flx.commands.train import learn as train
-    from flx.config import FLDM, FLVAE, FLDMExperiment, FLVAEExperiment, Images, Surface, Train, quick
+    from flx.config import (
+        FLDM,
+        FLVAE,
+        Controls,
+        FLDMExperiment,
+        FLVAEExperiment,
+        Images,
+        Surface,
+        Train,
+        quick,
+    )
     from flx.evaluation.fidelity import fidelity
     from flx.pipeline.canvas import paint, show
     from flx.pipeline.codec import load_codec
     from flx.pipeline.copies import triangulate
-    from flx.pipeline.generator import generate
+    from flx.pipeline.variations import generate
     from flx.training.load import load_generator
 
 _HOME = {
@@ -51,9 +61,10 @@ _HOME = {
     "quick": "config",
     "train": "commands.train:learn",
     "load_generator": "training.load",
-    "generate": "pipeline.generator",
+    "generate": "pipeline.variations",
     **dict.fromkeys(
-        ("FLDM", "FLVAE", "FLDMExperiment", "FLVAEExperiment", "Images", "Surface", "Train"), "config"
+        ("Controls", "FLDM", "FLVAE", "FLDMExperiment", "FLVAEExperiment", "Images", "Surface", "Train"),
+        "config",
     ),
 }
 

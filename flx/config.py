@@ -16,6 +16,7 @@ Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine
 Filter = Literal["harmonic", "mlp"]
 FRAME_VECTORS = 48  # the most vectors that the frame encoder can give a code: those of its polynomials
 Sampler = Literal["ddim", "dpm", "ancestral"]  # deterministic; of second order; DDPM
+STEPS = 25  # evaluations of the network for a sample, unless given
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
@@ -183,6 +184,18 @@ class FLDMExperiment:
 
 
 Experiment = FLVAEExperiment | FLDMExperiment
+
+
+@dataclass(frozen=True)
+class Controls:
+    """What guides new textures; by default nothing does."""
+
+    strength: float = 1.0  # how far from the input: 0.3 changes details, 1 makes everything new
+
+    def __post_init__(self) -> None:
+        _check("controls", self)
+        if not 0 < self.strength <= 1:
+            raise ValueError(f"strength is {self.strength}; give more than 0 and at most 1")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from flx.config import Comparison, Sampler
+from flx.config import STEPS, Comparison, Sampler
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Evaluate(Comparison):
     source: Positional[Path | None] = None  # a run folder, a generator.safetensors, or the input's mesh file
     samples: tuple[Path, ...] = ()  # mesh files to judge; without them the run makes variations
     count: int = 4  # variations that the run makes
-    steps: int = 50  # evaluations of the network for each
-    sampler: Sampler = "ddim"  # as of `flx sample`
+    steps: int = STEPS  # evaluations of the network for each
+    sampler: Sampler = "dpm"  # as of `flx sample`
 
     def __call__(self) -> None:
         if self.source is None:
@@ -45,7 +45,7 @@ def judge(options: Evaluate, source: Path) -> Path:
     from flx.files import write_atomically
     from flx.geometry.render import contact_sheet, render
     from flx.pipeline.canvas import VIEWS, check_size, shown
-    from flx.pipeline.generator import generate, reconstruct
+    from flx.pipeline.variations import generate, reconstruct
     from flx.training.load import load_generator
 
     if options.reconstruction:

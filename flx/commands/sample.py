@@ -1,14 +1,14 @@
 """`flx sample`: new textures from a trained generator."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from tqdm import tqdm
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
 from flx.assets.asset import Format
-from flx.config import Sampler
+from flx.config import STEPS, Controls, Sampler
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,9 @@ class Sample:
     texture_size: int | None = None  # pixels on the longer side; the input's, at most 2048, unless given
     # "glb" keeps everything that a GLB or glTF held, "obj" everything of an OBJ; "ply" holds vertex colours
     format: Format = "glb"
-    steps: int = 50  # evaluations of the network; "ancestral" takes all steps of the schedule instead
-    sampler: Sampler = "ddim"  # "dpm" is of second order, "ancestral" is DDPM
+    steps: int = STEPS  # evaluations of the network; "ancestral" takes all steps of the schedule instead
+    sampler: Sampler = "dpm"  # "dpm" is of second order, "ddim" of first; "ancestral" is DDPM
+    controls: OmitArgPrefixes[Controls] = field(default_factory=Controls)
 
     def __call__(self) -> None:
         print(sample(self))
@@ -43,21 +44,24 @@ def sample(options: Sample) -> Path:
     from flx.files import write_atomically
     from flx.geometry.seams import seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
-    from flx.pipeline.generator import generate, sampler_named
+    from flx.pipeline.generator import sampler_named
+    from flx.pipeline.variations import generate
     from flx.training.load import load_generator
 
     check_size(options.texture_size)
     if options.count < 1 or options.steps < 1:
         raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
     generator = load_generator(options.run)
-    chosen = sampler_named(options.sampler, generator.alphas, options.steps)
+    strength = options.controls.strength
+    chosen = sampler_named(options.sampler, generator.alphas, options.steps, strength)
     out = options.out or (options.run if options.run.is_dir() else options.run.parent) / "samples"
     files = [out / f"variation_{n:02d}.{options.format}" for n in range(options.count)]
     check_output(generator.asset, options.format, files, [out / "contact_sheet.png"])
 
     asset, up = prepared_for(generator.asset, options.format), generator.experiment.surface.up
     rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)
-    bar = tqdm(generate(generator, *rules), "variations", options.count, unit="texture", dynamic_ncols=True)
+    made = generate(generator, *rules, options.controls)
+    bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
     variations, ratios = [], []
     for file, baked in zip(files, bar, strict=True):
         write(asset, baked, file)
@@ -72,6 +76,7 @@ def sample(options: Sample) -> Path:
         "seed": options.seed,
         "sampler": options.sampler,
         "steps": len(chosen.table["t"]),
+        "controls": asdict(options.controls),
         "vertices": len(generator.home.triangulation.vertices),
         "seam_ratios": ratios,
         "seam_ratio_input": seam_ratio(asset.mesh),

@@ -8,7 +8,7 @@ it. Using it needs neither the optimiser nor the run folder nor the other copies
 import hashlib
 import json
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -23,22 +23,18 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from flx import __version__
-from flx.assets.asset import Asset, Painting
+from flx.assets.asset import Asset
 from flx.assets.formats.files import inside
 from flx.assets.read import read_asset
-from flx.config import FLDM, FLVAE, FLDMExperiment, Sampler, from_json
+from flx.config import FLDM, FLVAE, STEPS, FLDMExperiment, Sampler, from_json
 from flx.fields import samplers
 from flx.fields.algebra import tangent_noise
-from flx.fields.diffusion import Scaling
+from flx.fields.diffusion import Scaling, diffuse
 from flx.files import write_atomically
-from flx.geometry.atlas import with_filled_gutters
-from flx.geometry.copies import sample_rings
-from flx.geometry.remesh.remesh import remesh
 from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.models.denoiser.vectors import Denoiser
-from flx.pipeline.canvas import bake, open_canvas
 from flx.pipeline.codec import Codec, initial_params, odd_parameter
 from flx.types import MeshTables, Triangulation
 
@@ -81,9 +77,11 @@ class Generator:
         self,
         key: jax.Array,
         copy: Any = None,
-        steps: int = 50,
-        sampler: Sampler = "ddim",
+        steps: int = STEPS,
+        sampler: Sampler = "dpm",
         hook: samplers.Hook | None = None,
+        near: Complex64[np.ndarray, "V D"] | None = None,
+        strength: float = 1.0,
     ) -> Complex64[np.ndarray, "V D"]:
         """New codes at the vertices of a copy: anything with `tables`, the generator's own unless given.
 
@@ -93,13 +91,23 @@ class Generator:
             steps: Evaluations of the network; "ancestral" takes all of the schedule instead.
             sampler: "ddim" (deterministic), "dpm" (second order) or "ancestral" (DDPM).
             hook: Called after each step with (z, s, key); its result replaces z. z is scaled (`scaling`).
+            near: Codes on the copy to stay near: sampling starts from these, noised.
+            strength: How far it may go from `near`: the share of the schedule, and of the steps, that is
+                taken; 1 forgets `near`.
 
-        Raises ValueError for a sampler that is not known, and for more steps than the schedule has.
+        Raises ValueError for a sampler that is not known, for more steps than the schedule has, and for a
+        strength outside (0, 1].
         """
-        chosen = sampler_named(sampler, self.alphas, steps)
+        if not 0 < strength <= 1:
+            raise ValueError(f"strength is {strength}; give more than 0 and at most 1")
+        strength = 1.0 if near is None else strength
+        chosen = sampler_named(sampler, self.alphas, steps, strength)
         tables = jax.tree.map(jnp.asarray, (copy or self.home).tables)
-        rules = (self.denoise, chosen.step, chosen.memory, hook, self.codec.config.latents)
-        z = _draw(*rules, self.params, tables, chosen.table, key)
+        start, signal = np.zeros((len(tables.fine.masses), self.codec.config.latents), np.complex64), 0.0
+        if near is not None and strength < 1:
+            start, signal = self.scaling.to_diffusion(near), self.alphas[int(chosen.table["t"][0])]
+        rules = (self.denoise, chosen.step, chosen.memory, hook)
+        z = _draw(*rules, self.params, tables, chosen.table, start, jnp.float32(signal), key)
         return self.scaling.to_latents(np.asarray(z))
 
     @cached_property
@@ -114,51 +122,14 @@ class Generator:
         return read_asset(Path(folder.name, self.source.mesh), texture or None)
 
 
-def generate(
-    generator: Generator,
-    count: int = 4,
-    seed: int = 0,
-    steps: int = 50,
-    sampler: Sampler = "ddim",
-    texture_size: int | None = None,
-    asset: Asset | None = None,
-    hook: samplers.Hook | None = None,
-) -> Iterator[Painting]:
-    """New textures of the asset that the generator learnt from, one after another.
+def sampler_named(
+    name: str, alphas: Float64[np.ndarray, "T"], steps: int, strength: float = 1.0
+) -> samplers.Sampler:
+    """A sampler of the last `strength` of a schedule, with as large a share of `steps`.
 
-    Args:
-        generator: From `flx.load_generator`.
-        count: How many.
-        seed: Variation n depends on the seed and n alone.
-        steps, sampler, hook: See `Generator.sample`.
-        texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
-        asset: The same asset with an atlas of its own, if it came without one.
-
-    Example:
-        for n, painting in enumerate(flx.generate(generator, count=4)):
-            flx.save(generator.asset, painting, f"variation_{n}.glb")
+    Raises ValueError for a name that is not known, and for more steps than the schedule has.
     """
-    canvas = open_canvas(asset or generator.asset, generator.home.triangulation, texture_size)
-    for n in range(count):
-        key = jax.random.fold_in(jax.random.key(seed), n)
-        yield bake(canvas, generator.codec.decoder(generator.sample(key, None, steps, sampler, hook)))
-
-
-def reconstruct(generator: Generator, texture_size: int | None = None) -> Painting:
-    """The asset's own texture through the codec, on a triangulation that training did not see.
-
-    It is what samples could reach at best.
-    """
-    surface, samples = generator.experiment.surface, generator.codec.config.samples
-    mesh, unseen = with_filled_gutters(generator.asset.mesh), surface.seed + surface.copies
-    triangulation = remesh(mesh.vertices, mesh.faces, len(generator.home.triangulation.vertices), unseen)
-    latents = generator.codec.encode(sample_rings(mesh, triangulation, samples, unseen))
-    canvas = open_canvas(generator.asset, triangulation, texture_size)
-    return bake(canvas, generator.codec.decoder(latents))
-
-
-def sampler_named(name: str, alphas: Float64[np.ndarray, "T"], steps: int) -> samplers.Sampler:
-    """Raises ValueError for a name that is not known, and for more steps than the schedule has."""
+    alphas, steps = alphas[: 1 + max(1, round(strength * (len(alphas) - 1)))], max(1, round(strength * steps))
     if name == "ancestral":
         return samplers.ancestral(alphas)
     if name not in get_args(Sampler):
@@ -166,11 +137,11 @@ def sampler_named(name: str, alphas: Float64[np.ndarray, "T"], steps: int) -> sa
     return {"ddim": samplers.ddim, "dpm": samplers.dpm_solver}[name](alphas, steps)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
-def _draw(denoise, step, memory, hook, channels, params, tables, table, key):
-    """Codes as they are diffused, from the noise of a key."""
+@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _draw(denoise, step, memory, hook, params, tables, table, near, signal, key):
+    """Codes as they are diffused, from `near` and the noise of a key; `signal` is the α of `near`."""
     of_start, of_steps = jax.random.split(key)
-    start = tangent_noise(of_start, (len(tables.fine.masses), channels))
+    start = diffuse(near, tangent_noise(of_start, near.shape), signal)
     sampler = samplers.Sampler(table, step, memory)
     return samplers.reverse(lambda z, t: denoise(params, tables, z, t), sampler, start, of_steps, hook)
 

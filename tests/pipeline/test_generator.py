@@ -15,59 +15,20 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from flx.assets.read import read_asset
-from flx.config import FLDM, FLDMExperiment, Surface
+from flx.config import FLDM
 from flx.fields.algebra import tangent_noise
-from flx.fields.diffusion import Scaling
 from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.depth import complete
 from flx.pipeline.codec import load_codec
 from flx.pipeline.generator import (
     Generator,
     Home,
-    Source,
     _digest,
-    generate,
-    learnt_generator,
-    network_of,
     read_generator,
     save_generator,
 )
 
 pytestmark = pytest.mark.slow
-
-
-def colored_sphere() -> bytes:
-    """A PLY of 162 coloured vertices."""
-    sphere, rng = icosphere(2), np.random.default_rng(0)
-    colors = rng.integers(0, 256, (162, 3)).tolist()
-    rows = [f"{x} {y} {z} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(sphere.vertices, colors, strict=True)]
-    rows += [f"3 {a} {b} {c}" for a, b, c in sphere.faces]
-    head = ["ply", "format ascii 1.0", "element vertex 162"]
-    head += [f"property double {axis}" for axis in "xyz"] + [
-        f"property uchar {c}" for c in ("red", "green", "blue")
-    ]
-    head += [f"element face {len(sphere.faces)}", "property list uchar int vertex_indices", "end_header"]
-    return "\n".join([*head, *rows, ""]).encode()
-
-
-@pytest.fixture(scope="module")
-def generator(tmp_path_factory) -> Generator:
-    """An untrained one whose answers are not small."""
-    folder = tmp_path_factory.mktemp("asset")
-    (folder / "ball.ply").write_bytes(colored_sphere())
-    asset = read_asset(folder / "ball.ply")
-    codec, sphere = load_codec(), icosphere(2)
-    surface = Surface(path="/home/anna/secret/ball.ply", vertices=162, copies=1, up="z")
-    model = complete(FLDM(channels=4, embedding=8, precision="float32", steps=20), codec.config, 162)
-    experiment = FLDMExperiment(model=model, surface=surface, weights="/home/anna/secret/codec.safetensors")
-    tables = mesh_tables(sphere)
-    z = jnp.zeros((162, 8), jnp.complex64)
-    params = jax.jit(network_of(model).init)(jax.random.key(1), tables, z, jnp.float32(1))
-    params = jax.tree.map(lambda p: p + 0.1 * jnp.cos(jnp.arange(p.size).reshape(p.shape)), params)
-    scaling = Scaling(np.arange(8).astype(np.complex64), np.full(8, 2 - 1j, np.complex64))
-    source = Source("files/ball.ply", None, asset.digest, {"files/ball.ply": colored_sphere()})
-    return learnt_generator(experiment, params, scaling, codec, Home(sphere, tables), source, 7)
 
 
 @pytest.fixture(scope="module")
@@ -119,19 +80,36 @@ def test_any_function_that_finds_noise_is_a_generator(generator):
     )
 
 
+class Nothing:
+    """Finds no noise."""
+
+    def __call__(self, params, tables, z, t):
+        return 0 * z
+
+
+@pytest.mark.parametrize("strength", [0.05, 0.5, 0.95])
+def test_strength_is_how_far_samples_go_from_codes(generator, strength):
+    """Where no noise is found, z_t/√α_t is left: `near` and noise of variance (1 − α_t)/α_t."""
+    idle, near = dataclasses.replace(generator, denoise=Nothing()), np.full((162, 8), 3 + 1j, np.complex64)
+    z = idle.sample(jax.random.key(1), steps=20, sampler="ddim", near=near, strength=strength)
+    away = generator.scaling.to_diffusion(z) - generator.scaling.to_diffusion(near)
+    alpha = generator.alphas[round(20 * strength)]
+    assert np.mean(np.abs(away) ** 2) / 2 == pytest.approx((1 - alpha) / alpha, rel=0.1)
+
+
+def test_at_full_strength_the_start_is_forgotten(generator):
+    plain = generator.sample(jax.random.key(1), steps=5)
+    near = np.full((162, 8), 9, np.complex64)
+    np.testing.assert_array_equal(generator.sample(jax.random.key(1), steps=5, near=near), plain)
+    for strength in (0, -1, 1.5, np.nan):
+        with pytest.raises(ValueError, match=r"strength is .*more than 0 and at most 1"):
+            generator.sample(jax.random.key(1), near=near, strength=strength)
+
+
 class OnePoint:
     def __call__(self, point, tables, z, t):
         alpha = jnp.asarray(np.cumprod(np.r_[1, 1 - np.linspace(1e-4, 2e-2, 20)]), jnp.float32)[t.astype(int)]
         return (z - jnp.sqrt(alpha) * point) / jnp.sqrt(1 - alpha)
-
-
-def test_variation_n_depends_on_the_seed_and_n_alone(generator):
-    two, three = (list(generate(generator, count, seed=5, steps=3)) for count in (2, 3))
-    for a, b in zip(two, three, strict=False):
-        np.testing.assert_array_equal(a.colors, b.colors)
-    assert np.abs(two[0].colors - two[1].colors).max() > 0.01
-    other = next(generate(generator, 1, seed=6, steps=3))
-    assert np.abs(two[0].colors - other.colors).max() > 0.01
 
 
 def test_no_path_of_its_maker_is_in_the_file(file):

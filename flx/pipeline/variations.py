@@ -1,0 +1,92 @@
+"""New textures from a generator, as controls ask for them, and its own texture through the codec."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Complex64
+
+from flx.assets.asset import Asset, Painting
+from flx.config import STEPS, Controls, Sampler
+from flx.fields.samplers import Hook
+from flx.geometry.atlas import with_filled_gutters
+from flx.geometry.copies import sample_rings
+from flx.geometry.remesh.remesh import remesh
+from flx.pipeline.canvas import bake, open_canvas
+from flx.pipeline.generator import Generator, Home
+from flx.types import Triangulation
+
+
+class Guided(NamedTuple):
+    """Controls, as sampling follows them on one triangulation."""
+
+    home: Home  # what codes are made on
+    hook: Hook | None
+    near: Complex64[np.ndarray, "V D"] | None  # codes to stay near
+
+
+def guided(generator: Generator, controls: Controls) -> Guided:
+    """What a generator needs to follow some controls.
+
+    Raises ValueError for controls that it cannot follow.
+    """
+    home = generator.home
+    near = own_codes(generator, home.triangulation) if controls.strength < 1 else None
+    return Guided(home, None, near)
+
+
+def generate(
+    generator: Generator,
+    count: int = 4,
+    seed: int = 0,
+    steps: int = STEPS,
+    sampler: Sampler = "dpm",
+    texture_size: int | None = None,
+    asset: Asset | None = None,
+    controls: Controls | None = None,
+) -> Iterator[Painting]:
+    """New textures of the asset that the generator learnt from, one after another.
+
+    Args:
+        generator: From `flx.load_generator`.
+        count: How many.
+        seed: Variation n depends on the seed and n alone.
+        steps, sampler: See `Generator.sample`.
+        texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
+        asset: The same asset with an atlas of its own, if it came without one.
+        controls: What guides them, a `flx.Controls`.
+
+    Raises ValueError for controls that the generator cannot follow.
+
+    Example:
+        for n, painting in enumerate(flx.generate(generator, count=4)):
+            flx.save(generator.asset, painting, f"variation_{n}.glb")
+    """
+    controls = controls or Controls()
+    home, hook, near = guided(generator, controls)
+    canvas = open_canvas(asset or generator.asset, home.triangulation, texture_size)
+    for n in range(count):
+        key = jax.random.fold_in(jax.random.key(seed), n)
+        codes = generator.sample(key, home, steps, sampler, hook, near, controls.strength)
+        yield bake(canvas, generator.codec.decoder(codes))
+
+
+def reconstruct(generator: Generator, texture_size: int | None = None) -> Painting:
+    """The asset's own texture through the codec, on a triangulation that training did not see.
+
+    It is what samples could reach at best.
+    """
+    surface = generator.experiment.surface
+    mesh, unseen = with_filled_gutters(generator.asset.mesh), surface.seed + surface.copies
+    triangulation = remesh(mesh.vertices, mesh.faces, len(generator.home.triangulation.vertices), unseen)
+    canvas = open_canvas(generator.asset, triangulation, texture_size)
+    return bake(canvas, generator.codec.decoder(own_codes(generator, triangulation, unseen)))
+
+
+def own_codes(
+    generator: Generator, triangulation: Triangulation, seed: int = 0
+) -> Complex64[np.ndarray, "V D"]:
+    """The codes of the texture that the generator learnt from, at the vertices of a triangulation of it."""
+    mesh, codec = with_filled_gutters(generator.asset.mesh), generator.codec
+    return codec.encode(sample_rings(mesh, triangulation, codec.config.samples, seed))
