@@ -20,6 +20,9 @@ STEPS = 25  # evaluations of the network for a sample, unless given
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
+ADDED = ("draws", "emphasis")  # fields that records of earlier versions lack: their defaults are what was
+
+
 def _check(part: str, values: object, **least: int | float) -> None:
     """Raises ValueError for a word that its field does not know, and for a number below its least."""
     for name, kind in get_type_hints(type(values)).items():
@@ -85,6 +88,9 @@ class FLDM:
     conditions: int = 0  # m, real conditions ρ at each vertex
     blocks: Blocks | None = None
     predicts: Literal["noise", "velocity"] = "noise"  # the paper's; ours for short trainings
+    # Steps t that training draws: the paper's; ours, most of them where shapes are decided.
+    draws: Literal["uniform", "lognormal"] = "uniform"
+    emphasis: float = 0.0  # of channels that show: scales are multiplied by (effect on colours)^emphasis
     steps: int = 1000  # T
     beta_start: float = 1e-4  # linear schedule: ᾱ_T = 4e-5
     beta_end: float = 2e-2
@@ -92,7 +98,7 @@ class FLDM:
 
     def __post_init__(self) -> None:
         _check("model", self, channels=1, filter_width=1, vn_layers=1, embedding=1, conditions=0, steps=1)
-        _check("model", self, beta_start=0, beta_end=0)
+        _check("model", self, beta_start=0, beta_end=0, emphasis=0)
 
     @property
     def code_channels(self) -> tuple[int, int]:
@@ -229,7 +235,7 @@ def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
     """
     return FLDMExperiment(
         name=name,
-        model=FLDM(predicts="velocity", channels=48, precision="float32"),
+        model=FLDM(predicts="velocity", draws="lognormal", emphasis=0.5, channels=48, precision="float32"),
         surface=Surface(path=path, vertices=5000, copies=8),
         train=Train(
             steps=2400,
@@ -271,12 +277,12 @@ def from_json(kind: Any, value: Any, place: str) -> Any:
     origin, inner = get_origin(kind), get_args(kind)
     if is_dataclass(kind) and isinstance(value, dict):
         hints = get_type_hints(kind)
-        names = [f.name for f in fields(kind)]
+        names = {f.name: f.name in ADDED for f in fields(kind)}  # may a record lack it?
         for name in dict.fromkeys([*value, *names]):
-            if name not in value or name not in names:
-                fault = "has no field" if name not in value else "has an unknown field"
+            if name not in names or not (name in value or names[name]):
+                fault = "has no field" if name in names else "has an unknown field"
                 raise ValueError(f"{place} {fault} {name!r}; use the version of flx that made it")
-        return kind(**{name: from_json(hints[name], value[name], f"{place}.{name}") for name in names})  # type: ignore[operator]
+        return kind(**{name: from_json(hints[name], v, f"{place}.{name}") for name, v in value.items()})  # type: ignore[operator]
     if origin in (Union, UnionType):
         for option in inner:
             with contextlib.suppress(ValueError):

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Complex, Complex64, Float, Float64
+from scipy.special import ndtri
 
 Denoise = Callable[[Complex[Array, "V D"], Float[Array, ""]], Complex[Array, "V D"]]  # Z_t, t → ε
 
@@ -22,6 +23,31 @@ def linear_schedule(steps: int, beta_start: float, beta_end: float) -> Float64[n
     The paper states α_T = 0, which would make C₁ infinite; its 1,000 steps from 1e-4 to 0.02 end at 4e-5.
     """
     return np.concatenate([[1.0], np.cumprod(1 - np.linspace(beta_start, beta_end, steps))])
+
+
+def even_numbers(seed: int, first: int, count: int) -> Float64[np.ndarray, "N"]:
+    """Numbers first, first + 1, … of a sequence in [0, 1): any stretch of it is spread evenly.
+
+    The additive recurrence with the golden ratio; `seed` chooses where it starts.
+    """
+    start = np.random.default_rng(seed).random()
+    return (start + (first + np.arange(count)) * (np.sqrt(5) - 1) / 2) % 1
+
+
+def lognormal_steps(
+    alphas: Float64[np.ndarray, "T"],
+    numbers: Float64[np.ndarray, "N"],
+    center: float = 0.2,
+    spread: float = 1.1,
+) -> Float64[np.ndarray, "N"]:
+    """Steps t, as shares of T, at which σ = √((1−α)/α) is log-normal, for uniform numbers in (0, 1).
+
+    `center` and `spread` are the mean and the deviation of ln σ (Karras et al. 2022, table 1, with another
+    mean: there is more to decide at high noise where nothing but one texture is learnt).
+    """
+    log_sigma = np.log((1 - alphas[1:]) / alphas[1:]) / 2
+    wanted = center + spread * ndtri(np.clip(numbers, 1e-6, 1 - 1e-6))
+    return np.interp(wanted, log_sigma, np.arange(len(log_sigma))) / len(log_sigma)
 
 
 def diffuse(
@@ -62,3 +88,20 @@ def latent_scaling(latents: Complex64[np.ndarray, "N D"], invariants: int) -> Sc
     shift = np.concatenate([np.zeros(vectors.shape[1]), rest.mean(0)])
     scale = np.concatenate([of_vectors * (1 + 1j), of_rest])
     return Scaling(shift.astype(np.complex64), scale.astype(np.complex64))
+
+
+def emphasized(
+    scaling: Scaling, effects: Complex64[np.ndarray, "D"], exponent: float, invariants: int
+) -> Scaling:
+    """A scaling that makes channels larger, the more they show; the mean square of all stays as it was.
+
+    `effects`: what one unit of each channel's real part, and of its imaginary part, does to colours.
+    With noise of one size in all channels, those that show most are then decided first, at higher noise.
+    """
+    sizes = np.stack([np.real(effects), np.imag(effects)])
+    vectors = sizes.shape[1] - invariants
+    sizes[:, :vectors] = np.sqrt(np.mean(sizes[:, :vectors] ** 2, 0))  # one scale for both coordinates
+    factors = sizes**exponent
+    factors /= np.sqrt(np.mean(factors**2))
+    scale = np.real(scaling.scale) * factors[0] + 1j * np.imag(scaling.scale) * factors[1]
+    return Scaling(scaling.shift, scale.astype(np.complex64))

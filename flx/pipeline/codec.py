@@ -17,6 +17,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from flx.config import FLVAE
+from flx.fields.diffusion import Scaling
 from flx.files import write_atomically
 from flx.models.codec.vae import FieldLatentVAE
 from flx.types import Queries, RingSamples
@@ -52,6 +53,27 @@ class Codec(NamedTuple):
         whole = _in_chunks(partial(_expand, self.config), self.params, z, VERTICES)
         fixed = (self.params, jax.tree.map(jnp.asarray, whole))
         return lambda queries: _in_chunks(partial(_blend, self.config), fixed, queries, POINTS)
+
+    def effects(
+        self, latents: Complex64[Any, "N D"], scaling: Scaling, count: int = 512
+    ) -> Complex64[np.ndarray, "D"]:
+        """What one scaled unit of each channel's real part, and of its imaginary part, does to colours.
+
+        The root mean square over `count` of the codes, at points of the discs around their vertices.
+        """
+        rng = np.random.default_rng(0)
+        scaled = scaling.to_diffusion(rng.choice(np.asarray(latents), count, axis=0))
+        logs = np.sqrt(rng.random(count)) * np.exp(2j * np.pi * rng.random(count))
+        # Three equal corners: what one vertex alone predicts.
+        corners, logs = (np.repeat(a[:, None], 3, axis=1) for a in (np.arange(count, dtype=np.int32), logs))
+        queries = Queries(corners, logs.astype(np.complex64), np.full((count, 3), 1 / 3, np.float32))
+
+        def effect(unit: Any) -> Any:
+            ahead, behind = (self.decode(queries, scaling.to_latents(scaled + s * unit)) for s in (1, -1))
+            return np.sqrt(np.mean((ahead - behind) ** 2)) / 2
+
+        units = np.eye(len(scaling.scale), dtype=np.complex64)
+        return np.array([effect(unit) + 1j * effect(1j * unit) for unit in units], np.complex64)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -9,12 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Complex64, Int32
 
 from flx.assets.asset import Asset
 from flx.config import FLDM, FLDMExperiment, Surface
 from flx.fields import diffusion
 from flx.fields.algebra import squared_modulus, tangent_noise
-from flx.fields.diffusion import Scaling, latent_scaling
+from flx.fields.diffusion import Scaling, emphasized, latent_scaling
 from flx.geometry.tables import stack
 from flx.models.denoiser.depth import complete, reach
 from flx.models.denoiser.unet import UNet, denoise, schedule
@@ -40,6 +41,7 @@ class MeshBatch(NamedTuple):
 
     tables: MeshTables
     latents: Any  # Complex64 [B, V, D]
+    times: Any  # Int32 [B], from 1 to T
 
 
 def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
@@ -56,7 +58,7 @@ def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
     fingerprint = hashlib.sha256((asset.digest + codec.digest()).encode()).hexdigest()
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
-    whole, scaling, home = load_copies(run, asset, surface, codec)
+    copies, scaling, home = load_copies(run, asset, surface, codec, experiment.model.emphasis)
     source = source_of(run, surface, asset)
     seen = reach(home.tables, network.blocks)
     say(f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices")
@@ -64,22 +66,34 @@ def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
     def batches(step: int) -> MeshBatch:
         rng = np.random.default_rng([config.seed, step])
         chosen = rng.choice(surface.copies, config.batch, replace=config.batch > surface.copies)
-        return jax.tree.map(lambda a: a[chosen], whole)
+        tables, latents = jax.tree.map(lambda a: a[chosen], copies)
+        times = draw_times(experiment.model, config.seed, step * config.batch, config.batch)
+        return MeshBatch(tables, latents, times)
 
     def save(step: int, params: Any) -> None:
         generator = learnt_generator(experiment, params, scaling, codec, home, source, step)
         save_generator(run.generator, generator)
 
-    first = jax.tree.map(lambda a: a[0], whole)
-    params = jax.jit(network.init)(jax.random.key(config.seed), first.tables, first.latents, jnp.float32(1))
+    first = jax.tree.map(lambda a: a[0], copies)
+    params = jax.jit(network.init)(jax.random.key(config.seed), *first, jnp.float32(1))
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
     if not run.generator.exists():  # an earlier version trained it
         save(int(state.step), state.ema)
     return run
 
 
-def load_copies(run: Run, asset: Asset, surface: Surface, codec: Codec) -> tuple[MeshBatch, Scaling, Home]:
-    """All copies of the asset, prepared if need be, and the scaling of their latents.
+def draw_times(model: FLDM, seed: int, first: int, count: int) -> Int32[np.ndarray, "N"]:
+    """The steps t of draws first, first + 1, … of a training; evenly spread over each stretch of draws."""
+    numbers = diffusion.even_numbers(seed, first, count)
+    if model.draws == "lognormal":
+        numbers = diffusion.lognormal_steps(schedule(model), numbers)
+    return (1 + np.floor(numbers * model.steps)).astype(np.int32)
+
+
+def load_copies(
+    run: Run, asset: Asset, surface: Surface, codec: Codec, emphasis: float
+) -> tuple[tuple[MeshTables, Complex64[np.ndarray, "B V D"]], Scaling, Home]:
+    """Tables and scaled latents of all copies of the asset, prepared if need be, and the scaling.
 
     The first copy is also returned as it is: the generator samples on it.
     """
@@ -88,9 +102,12 @@ def load_copies(run: Run, asset: Asset, surface: Surface, codec: Codec) -> tuple
     copies = [cache.load(surface.seed + k) for k in range(surface.copies)]
     latents = [copy.latents for copy in copies]
     scaling = latent_scaling(np.concatenate(latents), codec.config.invariants)
+    if emphasis:
+        effects = codec.effects(np.concatenate(latents), scaling)
+        scaling = emphasized(scaling, effects, emphasis, codec.config.invariants)
     scaled = np.stack([scaling.to_diffusion(z) for z in latents])
     home = Home(copies[0].triangulation, copies[0].tables)
-    return MeshBatch(stack([copy.tables for copy in copies]), scaled), scaling, home
+    return (stack([copy.tables for copy in copies]), scaled), scaling, home
 
 
 def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
@@ -101,24 +118,22 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     surface, codec = experiment.surface, load_codec(experiment.weights)
     experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
     asset = read_copy(run, surface)
-    _, scaling, home = load_copies(run, asset, surface, codec)
+    _, scaling, home = load_copies(run, asset, surface, codec, experiment.model.emphasis)
     state = restore(run, experiment.train, parameter_shapes(experiment.model, home.tables))
     source = source_of(run, surface, asset)
     return learnt_generator(experiment, state.ema, scaling, codec, home, source, int(state.step))
 
 
 def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
-    """E ‖ε − ε̂(Z_t, t)‖² at a random t for each copy (paper, eq. 8), per real coordinate: 1 for ε̂ = 0.
+    """E ‖ε − ε̂(Z_t, t)‖² at the t of each copy (paper, eq. 8), per real coordinate: 1 for ε̂ = 0.
 
     Where velocities are predicted it is their error, ‖v − v̂‖² = ‖ε − ε̂‖² / α_t: it also counts the large
     structure, which is decided where there is so much noise that ε says nothing about it.
     """
     alphas = jnp.asarray(schedule(model), jnp.float32)
 
-    def one(params: Any, tables: MeshTables, latents: Array, key: Array) -> Array:
-        of_time, of_noise = jax.random.split(key)
-        t = jax.random.randint(of_time, (), 1, model.steps + 1)
-        noise = tangent_noise(of_noise, latents.shape)
+    def one(params: Any, tables: MeshTables, latents: Array, t: Array, key: Array) -> Array:
+        noise = tangent_noise(key, latents.shape)
         noisy = diffusion.diffuse(latents, noise, alphas[t])
         predicted = denoise(network, params, tables, noisy, t.astype(jnp.float32))
         errors = jnp.mean(squared_modulus(predicted - noise), -1) / 2
@@ -127,10 +142,10 @@ def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
         if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
-            tables, latents = jax.tree.map(lambda a: a[0], batch)
-            return one(params, tables, latents, key), {}
+            tables, latents, t = jax.tree.map(lambda a: a[0], batch)
+            return one(params, tables, latents, t, key), {}
         keys = jax.random.split(key, batch.latents.shape[0])
-        each = jax.vmap(one, (None, 0, 0, 0))(params, batch.tables, batch.latents, keys)
+        each = jax.vmap(one, (None, 0, 0, 0, 0))(params, *batch, keys)
         return jnp.mean(each), {}
 
     return loss

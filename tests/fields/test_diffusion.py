@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from flx.fields import diffusion
 from flx.fields.algebra import tangent_noise
-from flx.fields.diffusion import latent_scaling
+from flx.fields.diffusion import Scaling, emphasized, latent_scaling
 
 ALPHAS = diffusion.linear_schedule(1000, 1e-4, 2e-2)
 
@@ -41,3 +41,16 @@ def test_scaling_is_undone_turns_with_the_frame_and_has_the_size_of_noise():
     turn = np.exp(1j * rng.uniform(-np.pi, np.pi, (5000, 1))) ** np.array([1, 1, 0, 0])
     turned = scaling.to_diffusion((z * turn).astype(np.complex64))
     np.testing.assert_allclose(turned, scaled * turn, atol=1e-4)
+
+
+@given(exponent=st.floats(0, 1), seed=st.integers(0, 99))
+def test_emphasis_makes_channels_that_show_larger_and_keeps_the_mean_square(exponent, seed):
+    effects = np.random.default_rng(seed).uniform(0.01, 1, (2, 5)).astype(np.float32)
+    plain = Scaling(np.zeros(5, np.complex64), np.full(5, 1 + 1j, np.complex64))
+    scale = emphasized(plain, effects[0] + 1j * effects[1], exponent, invariants=2).scale
+    parts = np.stack([scale.real, scale.imag])
+    np.testing.assert_allclose(np.mean(parts**2), 1, rtol=1e-5)
+    np.testing.assert_allclose(parts[0, :3], parts[1, :3], rtol=1e-5)  # or frames could not be turned
+    invariant, shown = parts[:, 3:].ravel(), effects[:, 3:].ravel()
+    ratio = invariant[:, None] / invariant
+    np.testing.assert_allclose(ratio, (shown[:, None] / shown) ** exponent, rtol=1e-3)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from helpers.codecs import FRAME, TINY, alone, each_config, encode, rings, trained_a_little
 
+from flx.fields.diffusion import Scaling
 from flx.pipeline.codec import Codec, load_codec, save_codec
 
 
@@ -63,3 +64,17 @@ def test_the_released_codec_reconstructs_and_does_not_mind_the_frame():
     turn = np.exp(1j * np.random.default_rng(0).uniform(-np.pi, np.pi, (300, 1))).astype(np.complex64)
     z = codec.encode(r._replace(logs=r.logs * turn))
     np.testing.assert_allclose(codec.decode(alone(r.logs[:, :3] * turn), z), colors, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_effect_of_a_channel_is_that_of_its_unit_on_colours():
+    """Brightness shows most; a quarter of the unit has a quarter of the effect; a channel turned is itself."""
+    codec = load_codec()
+    latents = codec.encode(rings(200, codec.config.samples))
+    plain = Scaling(np.zeros(8, np.complex64), np.full(8, 20 + 20j, np.complex64))
+    whole, quarter = (
+        codec.effects(latents, plain),
+        codec.effects(latents, plain._replace(scale=4 * plain.scale)),
+    )
+    np.testing.assert_allclose(whole, 4 * quarter, rtol=0.15)
+    assert whole.real.max() == whole.real[5] > 2 * np.median(whole.real)

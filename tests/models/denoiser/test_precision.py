@@ -19,7 +19,7 @@ from flx.config import FLDM, Train
 from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.geometry.tables import exact_tables, mesh_tables, stack
 from flx.pipeline.generator import network_of
-from flx.training.fldm import MeshBatch, diffusion_loss
+from flx.training.fldm import MeshBatch, diffusion_loss, draw_times
 from flx.training.loop import initial_state, make_step
 
 pytestmark = pytest.mark.slow
@@ -59,9 +59,9 @@ def trained(name: str, steps: int = 60) -> Trained:
     first = compiled(network.init)(jax.random.key(0), tables, z, jnp.float32(1))
     train = Train(steps=steps, learning_rate=3e-3)
     state, step = initial_state(train, first), compiled(make_step(train, diffusion_loss(config, network)))
-    batch, losses = MeshBatch(stack([tables]), z[None]), []
-    for _ in range(steps):
-        state, scalars = step(state, batch)
+    tables, losses = stack([tables]), []
+    for n in range(steps):
+        state, scalars = step(state, MeshBatch(tables, z[None], draw_times(config, 0, n, 1)))
         losses.append(float(scalars["loss"]))
     return Trained(config, first, state.params, losses)
 
