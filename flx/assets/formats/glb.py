@@ -16,6 +16,7 @@ from flx.assets.formats.gltf import (
     IN_PBR,
     WIDTHS,
     Gltf,
+    View,
     accessor,
     append,
     append_view,
@@ -103,7 +104,7 @@ def _copy(document: dict) -> dict:
     return json.loads(json.dumps(document))  # `deepcopy` is slower, and fails on deep nesting
 
 
-def _append_rows(document: dict, views: list[bytes], rows: Num[Any, "N C"]) -> int:
+def _append_rows(document: dict, views: list[View], rows: Num[Any, "N C"]) -> int:
     """An accessor over float32 rows or uint32 scalars, with the bounds that positions must have."""
     component = FLOAT if rows.dtype == np.float32 else UNSIGNED
     kind = {width: name for name, width in WIDTHS.items()}[rows.shape[1]]
@@ -149,7 +150,7 @@ def missing_images(gltf: Gltf, painted: Container[int] = ()) -> list[str]:
     return [document["images"][i].get("uri", "an image without data") for i in lost if i not in new]
 
 
-def _put_image(document: dict, views: list[bytes], image: int, png: bytes) -> None:
+def _put_image(document: dict, views: list[View], image: int, png: bytes) -> None:
     """Puts the PNG in the image's place; its buffer view is reused if nothing else uses it."""
     entry = document["images"][image]
     readers = [other.get("bufferView") for other in document["images"]]
@@ -187,7 +188,7 @@ def build_gltf(
     """
     document: dict = {"asset": {"version": "2.0", "generator": "flx"}, "scene": 0, "scenes": [{"nodes": [0]}]}
     document |= {"nodes": [{"mesh": 0, "name": name}], "meshes": [{"name": name, "primitives": []}]}
-    views: list[bytes] = []
+    views: list[View] = []
     images: dict[tuple[Slot, int], int] = {}
     for slot, of_slot in pngs.items():
         for texture, png in of_slot.items():
@@ -231,7 +232,8 @@ def glb_bytes(gltf: Gltf) -> bytes:
     document, binary = _copy(gltf.document), bytearray()
     for entry, view in zip(document.get("bufferViews", []), gltf.views, strict=True):
         entry |= {"buffer": 0, "byteOffset": len(binary), "byteLength": len(view)}
-        binary += view + bytes(-len(view) % 4)
+        binary += view
+        binary += bytes(-len(view) % 4)
     document["buffers"] = [{"byteLength": len(binary)}]
     text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 4)

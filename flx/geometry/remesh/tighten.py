@@ -25,7 +25,7 @@ FEW_SHARP = 0.007  # share of sharp faces above which they count as bad in the l
 # Share of sharp faces from which they never count as bad: bars and walls thinner than an edge have no others.
 HOPELESS = 0.1
 # The work of the search, in tries of a whole mesh (of `SMALL` faces at least). Beyond the first number, a lap
-# that leaves more than `WORTH` of the cost is the last; beyond the second, the search ends. Of nine scans, the
+# that leaves more than `WORTH` of the cost is the last; beyond the second, the search ends. Of nine scans the
 # hardest took 2.7. Seven are about 3 CPU seconds at 30,000 vertices.
 PATIENCE, MOST, WORTH, SMALL = 3.0, 7.0, 0.95, 60_000
 MARGIN_RINGS = 3  # rings of faces around the bad places that a lap works on

@@ -182,7 +182,7 @@ def test_a_mesh_that_is_its_own_surface_comes_back_bit_for_bit():
 
 @pytest.mark.parametrize("bar", [4, 1])
 def test_the_search_ends_where_most_of_a_mesh_stays_bad(bar, monkeypatch):
-    """Bars about as wide as an edge, and far thinner; without an end there are 240 tries of the whole mesh."""
+    """Bars about as wide as an edge, and far thinner; else there are 240 tries of the whole mesh."""
     monkeypatch.setattr(tightening, "SMALL", 0, raising=False)
     tried, work = tightening._take_over, []
 
