@@ -10,7 +10,7 @@ from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Num
+from jaxtyping import Float32, Float64, Num
 
 from flx.assets.formats.gltf import (
     IN_PBR,
@@ -25,10 +25,12 @@ from flx.assets.formats.gltf import (
     texture_reference,
 )
 from flx.assets.formats.parts import Paint, Part
+from flx.geometry.arrays import mark
 from flx.geometry.color import linear
 from flx.types import Slot
 
 FLOAT, UNSIGNED = 5126, 5125
+COARSEST = 1e-6  # rounding of positions, as a share of the size of a mesh, from which they are moved
 
 
 def replace_images(gltf: Gltf, slot: Slot, textures: Mapping[int, int], pngs: Mapping[int, bytes]) -> Gltf:
@@ -187,7 +189,9 @@ def build_gltf(
     have no culling. Unused materials are left out.
     """
     document: dict = {"asset": {"version": "2.0", "generator": "flx"}, "scene": 0, "scenes": [{"nodes": [0]}]}
-    document |= {"nodes": [{"mesh": 0, "name": name}], "meshes": [{"name": name, "primitives": []}]}
+    origin = _origin(parts)
+    node = {"mesh": 0, "name": name} | ({"translation": origin.tolist()} if origin.any() else {})
+    document |= {"nodes": [node], "meshes": [{"name": name, "primitives": []}]}
     views: list[View] = []
     images: dict[tuple[Slot, int], int] = {}
     for slot, of_slot in pngs.items():
@@ -214,7 +218,7 @@ def build_gltf(
             material["alphaMode"] = paint.alpha_mode
         number_of[number] = append(document, "materials", material)
     for i, part in enumerate(parts):
-        rows = {"POSITION": part.positions, "NORMAL": part.normals, "TEXCOORD_0": part.uvs}
+        rows = {"POSITION": part.positions - origin, "NORMAL": part.normals, "TEXCOORD_0": part.uvs}
         rows["COLOR_0"] = None if colors is None else linear(colors[i])
         attributes = {
             key: _append_rows(document, views, np.ascontiguousarray(value, np.float32))
@@ -225,6 +229,17 @@ def build_gltf(
         primitive = {"attributes": attributes, "indices": indices, "material": number_of[part.material]}
         document["meshes"][0]["primitives"].append(primitive)
     return Gltf(document, tuple(views))
+
+
+def _origin(parts: Sequence[Part]) -> Float64[Any, "3"]:
+    """Where positions are counted from: 0, or the middle of a mesh so far off that float32 is too coarse."""
+    ends = []
+    for part in parts:
+        used = part.positions[mark(len(part.positions), part.faces)]
+        ends += [used.min(0), used.max(0)]
+    low, high = np.min(ends, 0), np.max(ends, 0)
+    step = np.maximum(np.abs(low), np.abs(high)).max() * np.finfo(np.float32).eps
+    return (low + high) / 2 if step > COARSEST * (high - low).max() else np.zeros(3)
 
 
 def glb_bytes(gltf: Gltf) -> bytes:

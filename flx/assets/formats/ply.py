@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Float64, Int, Num
 
 from flx.assets.formats.files import BadFile, check_faces, numbers
-from flx.assets.formats.obj import colors_of, fans, split_corners
+from flx.assets.formats.obj import colors_of, split_corners
 from flx.assets.formats.parts import Part
+from flx.assets.formats.polygons import cut_polygons
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -291,8 +292,9 @@ def _parts(
     wrong = ~((indices >= 0) & (indices < len(points)) & (indices == np.floor(indices)))
     if wrong.any():
         raise BadFile(f"a face names vertex {indices[wrong][0]:g} of {len(points)}; export it again")
-    triangles, owners = fans(corners.sizes)
-    faces = indices.astype(np.int64)[triangles]
+    order = indices.astype(np.int64)
+    triangles, owners = cut_polygons(corners.sizes, points[order])
+    faces = order[triangles]
     rows, uvs = np.arange(len(points)), None
     for pair in COORDINATES:
         uvs = _stacked(vertex, pair) if set(pair) <= vertex.keys() else uvs
