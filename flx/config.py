@@ -22,9 +22,13 @@ Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "fram
 
 ADDED = ("draws", "emphasis")  # fields that records of earlier versions lack: their defaults are what was
 
+# The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
+MOST_LAYERS, MOST_OTHER = 100, 1 << 20
+LAYERS = ("depth", "layers", "decoder_layers", "vn_layers")
+
 
 def _check(part: str, values: object, **least: int | float) -> None:
-    """Raises ValueError for a word that its field does not know, and for a number below its least."""
+    """Raises ValueError for a word that its field does not know, and for a number out of its range."""
     for name, kind in get_type_hints(type(values)).items():
         choices, value = get_args(kind), getattr(values, name)
         if get_origin(kind) is Literal and value not in choices:
@@ -32,6 +36,9 @@ def _check(part: str, values: object, **least: int | float) -> None:
     for name, low in least.items():
         if not getattr(values, name) >= low:
             raise ValueError(f"{part}.{name} is {getattr(values, name)}; give at least {low}")
+        most = MOST_LAYERS if name in LAYERS else MOST_OTHER
+        if part == "model" and getattr(values, name) > most:
+            raise ValueError(f"{part}.{name} is {getattr(values, name)}; give at most {most:,}")
 
 
 @dataclass(frozen=True)
@@ -97,8 +104,12 @@ class FLDM:
     precision: Precision = "bfloat16"
 
     def __post_init__(self) -> None:
-        _check("model", self, channels=1, filter_width=1, vn_layers=1, embedding=1, conditions=0, steps=1)
+        _check("model", self, channels=1, filter_width=1, vn_layers=1, embedding=4, conditions=0, steps=1)
         _check("model", self, beta_start=0, beta_end=0, emphasis=0)
+        if self.embedding % 2:
+            raise ValueError(f"model.embedding is {self.embedding}; make it even, for cosines and sines")
+        if self.blocks and not all(0 <= count <= MOST_LAYERS for count in self.blocks):
+            raise ValueError(f"model.blocks is {self.blocks}; give three numbers of 0 to {MOST_LAYERS}")
 
     @property
     def code_channels(self) -> tuple[int, int]:

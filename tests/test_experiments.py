@@ -9,7 +9,7 @@ import pytest
 from helpers.frames import field, tables_of
 from helpers.surfaces import icosphere
 
-from flx.config import FLVAE, Experiment, FLVAEExperiment, read_config
+from flx.config import FLDM, FLVAE, Experiment, FLVAEExperiment, read_config
 from flx.models.denoiser.depth import complete
 from flx.pipeline.codec import initial_params, load_codec
 from flx.pipeline.generator import network_of
@@ -58,3 +58,19 @@ def test_released_weights_are_of_the_experiment_of_their_name(name):
     folder = FILES[0].parent
     weights = load_codec(folder.parent / "flx" / "weights" / f"{name}.safetensors")
     assert weights.config == read_config(folder / f"{name}.py").model
+
+
+@pytest.mark.parametrize(
+    ("made", "match"),
+    [
+        (lambda: FLDM(embedding=2), "model.embedding is 2; give at least 4"),  # 2 and 3 gave NaN
+        (lambda: FLDM(embedding=3), "model.embedding is 3; give at least 4"),
+        (lambda: FLDM(embedding=9), "model.embedding is 9; make it even"),
+        (lambda: FLDM(blocks=(-1, 0, 1_000_000)), "model.blocks is .* 0 to 100"),
+        (lambda: FLVAE(depth=100_000), "model.depth is 100000; give at most 100"),
+        (lambda: FLVAE(width=1 << 30), "model.width is 1073741824; give at most 1,048,576"),
+    ],
+)
+def test_a_network_that_cannot_be_built_is_refused_by_name(made, match):
+    with pytest.raises(ValueError, match=match):
+        made()

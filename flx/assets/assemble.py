@@ -22,12 +22,13 @@ from flx.assets.formats.files import BadFile, is_absolute, quoted, read_file
 from flx.assets.formats.images import check_together, decode_image, decode_map, original_kind, split_alpha
 from flx.assets.formats.parts import Material, Paint, Part, stacked
 from flx.assets.formats.readers import Contents, Picture
-from flx.geometry.arrays import face_areas
+from flx.geometry.arrays import face_areas, mark
 from flx.geometry.atlas import uv_areas
 from flx.geometry.repair import Repaired, repair
 from flx.types import Layer, Slot, TexturedMesh
 
 FARTHEST = 1e30  # the largest coordinate: its cube is still finite
+SMALLEST = 1e-20  # the smallest size of a mesh: areas of its faces can still be pictured
 MOST_TILES = 100.0  # how many times the surface may cover its textures
 
 
@@ -112,6 +113,9 @@ def _check(parts: Sequence[Part]) -> None:
         _check_finite(part, part.positions, "vertex")
         _check_finite(part, part.uvs, "the texture coordinate of vertex")
         _check_finite(part, part.colors, "the colour of vertex")
+    size = max(np.ptp(part.positions[mark(len(part.positions), part.faces)], axis=0).max() for part in parts)
+    if 0 < size < SMALLEST:
+        raise ValueError(f"no part is more than {size:.2g} across; scale the mesh up")
 
 
 def _check_finite(part: Part, rows: Float64[Any, "V C"] | Float32[Any, "V C"] | None, what: str) -> None:

@@ -80,15 +80,19 @@ def weld(points: Float64[Any, "V 3"]) -> Int[Any, "V"]:
     alone = len(points) - len(near)
     most = MAX_WELD_PAIRS[0] * (alone + len(unique)) + MAX_WELD_PAIRS[1]
     if alone + tree.count_neighbors(tree, tolerance) > most:
-        unique = points[distinct_rows(points)[0]]
-        stray = unique[np.abs(unique - np.median(unique, axis=0)).max(1).argmax()]
-        raise ValueError(f"a vertex at {stray.tolist()} is so far off that all others coincide; remove it")
+        raise ValueError(_stray(points))
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     _, group = label_components(pairs, len(unique))
     lowest = np.full(len(unique), len(points))
     np.minimum.at(lowest, group, near[first])
     representative[near] = lowest[group][which]
     return representative
+
+
+def _stray(points: Float64[Any, "V 3"]) -> str:
+    unique = points[distinct_rows(points)[0]]
+    stray = unique[np.abs(unique - np.median(unique, axis=0)).max(1).argmax()]
+    return f"a vertex at {stray.tolist()} is so far off that all others coincide; remove it"
 
 
 def _crowded(points: Float64[Any, "V 3"], radius: float) -> Int[Any, "N"]:
@@ -129,6 +133,8 @@ def repair(points: Float64[Any, "V 3"], faces: Faces) -> Repaired:
     duplicate = int((~fresh & ~ears).sum())
     corners, sources = corners[fresh], sources[fresh]
     if len(corners) == 0:
+        if (points[faces] != points[np.roll(faces, 1, axis=1)]).any(2).all(1).any():
+            raise ValueError(_stray(points[finite]))
         raise ValueError(f"no triangles: of {len(faces)}, {degenerate} have a corner twice; export it again")
 
     present = mark(len(points), corners)

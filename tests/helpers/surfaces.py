@@ -242,3 +242,33 @@ def rough(seed: int, noise: float = 0.06) -> Triangulation:
     points, faces = icosphere(2)
     shift = np.random.default_rng(seed).uniform(-noise, noise, points.shape)
     return Triangulation(points + shift, faces)
+
+
+def thickened(sheet: Triangulation, thickness: float) -> Triangulation:
+    """An open sheet with a back, and walls along its boundary."""
+    points, faces = sheet
+    outward = igl.per_vertex_normals(points, faces) * thickness / 2
+    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    here, back = (set(map(tuple, edges.tolist())) for edges in (sides, sides[:, ::-1]))
+    a, b = np.array(sorted(here - back)).T
+    count = len(points)
+    walls = [np.stack([b, a, a + count], 1), np.stack([b, a + count, b + count], 1)]
+    return Triangulation(
+        np.concatenate([points + outward, points - outward]),
+        np.concatenate([faces, faces[:, ::-1] + count, *walls]),
+    )
+
+
+def basket(around: int = 24, up: int = 8, bar: int = 4, hole: int = 4, thickness: float = 0.012):
+    """A woven band of bars, `bar` cells wide, around `around` · `up` holes: χ is −2 · `around` · `up`."""
+    rows, columns = around * (bar + hole), up * (bar + hole) + bar + 1
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    turn, height = 2 * np.pi * row / rows, column / (columns - 1)
+    weave = [np.cos(np.pi * (cell - bar / 2) / (bar + hole)) for cell in (row, column)]
+    radius = 0.5 + 0.15 * height + 0.02 * weave[0] * weave[1]
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], 1)
+    r, c = (k.ravel() for k in np.meshgrid(np.arange(rows), np.arange(columns - 1), indexing="ij"))
+    solid = np.minimum(r % (bar + hole), c % (bar + hole)) < bar
+    faces = grid_faces(rows, columns, close_rows=True)[np.tile(solid, 2)]
+    used, index = np.unique(faces, return_inverse=True)
+    return thickened(Triangulation(points[used], index.reshape(-1, 3)), thickness)

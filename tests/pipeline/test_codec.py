@@ -68,7 +68,7 @@ def test_the_released_codec_reconstructs_and_does_not_mind_the_frame():
 
 @pytest.mark.slow
 def test_the_effect_of_a_channel_is_that_of_its_unit_on_colours():
-    """Brightness shows most; a quarter of the unit has a quarter of the effect; a channel turned is itself."""
+    """Brightness shows most; a quarter of the unit has a quarter of the effect."""
     codec = load_codec()
     latents = codec.encode(rings(200, codec.config.samples))
     plain = Scaling(np.zeros(8, np.complex64), np.full(8, 20 + 20j, np.complex64))

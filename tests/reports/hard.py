@@ -29,7 +29,7 @@ from flx.geometry.repair import topology_counts
 
 sys.path.append(str(Path(__file__).parents[1]))  # a script finds what lies beside it, not helpers
 from helpers.oracles import coincidence, distances, min_angles, points_on
-from helpers.surfaces import icosphere, moebius, sleeve, soup, square_with_hole, three_touching_boxes
+from helpers.surfaces import basket, icosphere, moebius, sleeve, soup, square_with_hole, three_touching_boxes
 
 from flx.assets.read import read_asset
 from flx.commands.doctor import examine
@@ -130,6 +130,10 @@ def cases() -> dict[str, Case]:
         "three touching boxes": Case(lambda folder: coloured(*three_touching_boxes(), folder), 5000),
         "triangle soup": Case(lambda folder: coloured(*soup(*ball), folder), 5000),
         "crumbs smaller than a ring": Case(crumbs, 5000),
+        "basket of 192 handles": Case(lambda folder: coloured(*basket(), folder), 5000),
+        "two-sided, 1,200 holes": Case(
+            lambda folder: coloured(*basket(60, 20, bar=1, hole=3, thickness=0.004), folder), 30_000
+        ),
         "million faces": Case(million, 30_000),
     }
 

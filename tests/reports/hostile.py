@@ -77,6 +77,42 @@ def many_big_parts(folder: Path) -> Path:
     return folder / "a.glb"
 
 
+def views_of_one_buffer(count: int) -> Build:
+    def overlap(d: dict) -> None:
+        size = d["buffers"][0]["byteLength"] = 1 << 20
+        d["bufferViews"] += [{"buffer": 0, "byteOffset": 0, "byteLength": size}] * count
+
+    return gltf(overlap, lambda content: content.extend(bytes(1 << 20)))
+
+
+def buffers_of_one_file(folder: Path) -> Path:
+    d, content = document()
+    (folder / "a.bin").write_bytes(content + bytes(1 << 20))
+    d["buffers"] = [d["buffers"][0] | {"uri": "a.bin"} for _ in range(4000)]
+    (folder / "a.gltf").write_text(json.dumps(d))
+    return folder / "a.gltf"
+
+
+def nested(count: int, **transform: list[float]) -> Build:
+    nodes = [{"children": [i + 1], **transform} for i in range(count)]
+    return at("nodes", to=[*nodes, {"mesh": 0}])
+
+
+def instances(d: dict) -> None:
+    d["nodes"] = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(10_000)]
+    d["scenes"] = [{"nodes": list(range(10_000))}]
+    reference = d["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    reference["extensions"] = {"KHR_texture_transform": {"scale": [0.01, 0.01]}}
+
+
+def ply_of_uneven_rows() -> bytes:
+    """Before its mesh, 2 MB of lists that flx does not use: of no value, and of one."""
+    head, rest = ply_binary().split(b"element vertex")
+    junk = b"element junk 1300000\nproperty list uchar uchar what\nelement vertex"
+    header, body = (head + junk + rest).split(b"end_header\n")
+    return header + b"end_header\n" + b"\0\1\7" * 650_000 + body
+
+
 def other_map(name: str) -> Build:
     return obj(mtl=MTL + f"map_Bump {name}\n")
 
@@ -124,6 +160,15 @@ GOOD = {
     "OBJ, map_Bump is a device": symlink(other_map("b.png"), "b.png", "/dev/zero"),
     "OBJ, map_Bump of 20 GB": beside(other_map("b.png"), "b.png", sparse_file),
     "GLB, image as data URI": image_uri("data:image/png;base64," + base64.b64encode(png()).decode()),
+}
+# Much work for their size, and done in bounded time and memory.
+HEAVY = {
+    "GLB: 400 views of one buffer of 1 MB": views_of_one_buffer(400),
+    "glTF: 4,000 buffers of one file of 1 MB": buffers_of_one_file,
+    "GLB: 300,000 nested nodes": nested(300_000),
+    "GLB: 200,000 nested nodes that turn": nested(200_000, rotation=[0, 1, 0, 0]),
+    "GLB: 10,000 instances": gltf(instances),
+    "PLY: 2 MB of rows of different lengths": ply(ply_of_uneven_rows()),
 }
 
 CASES = [
@@ -254,6 +299,7 @@ CASES = [
     Case("GLB: 1e9 sparse rows of nothing", at("accessors", 0, to={"componentType": 5126, "count": 10**9, "type": "VEC3", "sparse": {"count": 1, "indices": {"bufferView": 2, "componentType": 5123}, "values": {"bufferView": 0}}}), "no data"),
     Case("GLB: 200,000 nodes of one mesh", gltf(shown_often), "more than 16,384 parts"),
     Case("GLB: 5,000 parts of one 3 MB accessor", many_big_parts, "faces, more than"),
+    Case("GLB: 4,000 views of one buffer of 1 MB", views_of_one_buffer(4000), "4,004 buffer views .* overlap"),
     Case("GLB: count -1", at("accessors", 0, "count", to=-1), "not a whole number"),
     Case("GLB: count 4.5", at("accessors", 0, "count", to=4.5), "not a whole number"),
     Case("GLB: offset -4", at("bufferViews", 0, "byteOffset", to=-4), "not a whole number"),
@@ -272,6 +318,7 @@ CASES = [
     Case("GLB: no scene", at("scenes", 0, "nodes", to=[]), "no triangles"),
     Case("GLB: lines only", at("meshes", 0, "primitives", 0, "mode", to=1), "no triangles"),
     # glTF: numbers
+    Case("GLB: 10,000 nested nodes that grow", nested(10_000, scale=[1.1] * 3), "not finite"),
     Case("GLB: NaN vertex", gltf(len, floats(12, np.nan)), "not finite"),
     Case("GLB: Inf vertex", gltf(len, floats(12, np.inf)), "not finite"),
     Case("GLB: NaN texture coordinate", gltf(len, floats(48, np.nan)), "not finite"),
@@ -356,7 +403,9 @@ def table() -> dict[str, Outcome]:
     resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
     signal.signal(signal.SIGALRM, _too_long)
     sys.addaudithook(_watch)
-    return {name: run(build) for name, build in GOOD.items()} | {c.name: run(c.build) for c in CASES}
+    return {name: run(build) for name, build in (GOOD | HEAVY).items()} | {
+        c.name: run(c.build) for c in CASES
+    }
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from reports.hostile import CASES, GOOD, Case, Outcome
+from reports.hostile import CASES, GOOD, HEAVY, Case, Outcome
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +24,14 @@ def outcomes() -> dict[str, Outcome]:
 def test_a_file_is_accepted_before_it_is_spoilt(outcomes, name):
     assert outcomes[name].status == 0 and not outcomes[name].lines and "vertices" in outcomes[name].said
     assert not outcomes[name].opened  # the watcher is not blind: see the next test but one
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HEAVY)
+def test_a_file_that_multiplies_work_is_read_soon_and_in_little_memory(outcomes, name):
+    outcome = outcomes[name]
+    assert outcome.status == 0 and not outcome.lines and "vertices" in outcome.said, outcome
+    assert outcome.seconds < 5 and outcome.megabytes < 1000, outcome
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ take more memory than its own size explains. The limits are generous; each can b
 variable, which the error names.
 """
 
+import codecs
 import os
 import re
 import warnings
@@ -115,6 +116,19 @@ def check_faces(count: int) -> None:
     """Raises BadFile for more faces than `FLX_MAX_FACES`, before anything of their size is made."""
     if count > (most := limit("FLX_MAX_FACES")):
         raise BadFile(f"{count:,} faces, more than {most:,}; decimate it, or set FLX_MAX_FACES={count}")
+
+
+def _as_cp1252(fault: UnicodeError) -> tuple[str, int]:
+    assert isinstance(fault, UnicodeDecodeError)
+    return fault.object[fault.start : fault.end].decode("cp1252", errors="replace"), fault.end
+
+
+codecs.register_error("flx.cp1252", _as_cp1252)
+
+
+def text_of(content: bytes) -> str:
+    """The text of UTF-8, without its mark; bytes that are not UTF-8 are taken for Windows' code page 1252."""
+    return content.decode("utf-8-sig", errors="flx.cp1252")
 
 
 def numbers(text: str, dtype: type = np.float64) -> Num[Any, "N"]:

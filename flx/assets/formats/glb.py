@@ -10,12 +10,13 @@ from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Num
+from jaxtyping import Float32, Float64, Num
 
 from flx.assets.formats.gltf import (
     IN_PBR,
     WIDTHS,
     Gltf,
+    View,
     accessor,
     append,
     append_view,
@@ -24,10 +25,12 @@ from flx.assets.formats.gltf import (
     texture_reference,
 )
 from flx.assets.formats.parts import Paint, Part
+from flx.geometry.arrays import mark
 from flx.geometry.color import linear
 from flx.types import Slot
 
 FLOAT, UNSIGNED = 5126, 5125
+COARSEST = 1e-6  # rounding of positions, as a share of the size of a mesh, from which they are moved
 
 
 def replace_images(gltf: Gltf, slot: Slot, textures: Mapping[int, int], pngs: Mapping[int, bytes]) -> Gltf:
@@ -103,7 +106,7 @@ def _copy(document: dict) -> dict:
     return json.loads(json.dumps(document))  # `deepcopy` is slower, and fails on deep nesting
 
 
-def _append_rows(document: dict, views: list[bytes], rows: Num[Any, "N C"]) -> int:
+def _append_rows(document: dict, views: list[View], rows: Num[Any, "N C"]) -> int:
     """An accessor over float32 rows or uint32 scalars, with the bounds that positions must have."""
     component = FLOAT if rows.dtype == np.float32 else UNSIGNED
     kind = {width: name for name, width in WIDTHS.items()}[rows.shape[1]]
@@ -149,7 +152,7 @@ def missing_images(gltf: Gltf, painted: Container[int] = ()) -> list[str]:
     return [document["images"][i].get("uri", "an image without data") for i in lost if i not in new]
 
 
-def _put_image(document: dict, views: list[bytes], image: int, png: bytes) -> None:
+def _put_image(document: dict, views: list[View], image: int, png: bytes) -> None:
     """Puts the PNG in the image's place; its buffer view is reused if nothing else uses it."""
     entry = document["images"][image]
     readers = [other.get("bufferView") for other in document["images"]]
@@ -186,8 +189,10 @@ def build_gltf(
     have no culling. Unused materials are left out.
     """
     document: dict = {"asset": {"version": "2.0", "generator": "flx"}, "scene": 0, "scenes": [{"nodes": [0]}]}
-    document |= {"nodes": [{"mesh": 0, "name": name}], "meshes": [{"name": name, "primitives": []}]}
-    views: list[bytes] = []
+    origin = _origin(parts)
+    node = {"mesh": 0, "name": name} | ({"translation": origin.tolist()} if origin.any() else {})
+    document |= {"nodes": [node], "meshes": [{"name": name, "primitives": []}]}
+    views: list[View] = []
     images: dict[tuple[Slot, int], int] = {}
     for slot, of_slot in pngs.items():
         for texture, png in of_slot.items():
@@ -213,7 +218,7 @@ def build_gltf(
             material["alphaMode"] = paint.alpha_mode
         number_of[number] = append(document, "materials", material)
     for i, part in enumerate(parts):
-        rows = {"POSITION": part.positions, "NORMAL": part.normals, "TEXCOORD_0": part.uvs}
+        rows = {"POSITION": part.positions - origin, "NORMAL": part.normals, "TEXCOORD_0": part.uvs}
         rows["COLOR_0"] = None if colors is None else linear(colors[i])
         attributes = {
             key: _append_rows(document, views, np.ascontiguousarray(value, np.float32))
@@ -226,12 +231,24 @@ def build_gltf(
     return Gltf(document, tuple(views))
 
 
+def _origin(parts: Sequence[Part]) -> Float64[Any, "3"]:
+    """Where positions are counted from: 0, or the middle of a mesh so far off that float32 is too coarse."""
+    ends = []
+    for part in parts:
+        used = part.positions[mark(len(part.positions), part.faces)]
+        ends += [used.min(0), used.max(0)]
+    low, high = np.min(ends, 0), np.max(ends, 0)
+    step = np.maximum(np.abs(low), np.abs(high)).max() * np.finfo(np.float32).eps
+    return (low + high) / 2 if step > COARSEST * (high - low).max() else np.zeros(3)
+
+
 def glb_bytes(gltf: Gltf) -> bytes:
     """One GLB: the views in order, each aligned to four bytes as accessors require."""
     document, binary = _copy(gltf.document), bytearray()
     for entry, view in zip(document.get("bufferViews", []), gltf.views, strict=True):
         entry |= {"buffer": 0, "byteOffset": len(binary), "byteLength": len(view)}
-        binary += view + bytes(-len(view) % 4)
+        binary += view
+        binary += bytes(-len(view) % 4)
     document["buffers"] = [{"byteLength": len(binary)}]
     text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 4)

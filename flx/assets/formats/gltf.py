@@ -14,7 +14,7 @@ import base64
 import errno
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote, unquote, unquote_to_bytes
@@ -22,7 +22,15 @@ from urllib.parse import quote, unquote, unquote_to_bytes
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Num
 
-from flx.assets.formats.files import BadFile, check_faces, found_beside, inside, read_file, substitution
+from flx.assets.formats.files import (
+    BadFile,
+    check_faces,
+    found_beside,
+    inside,
+    limit,
+    read_file,
+    substitution,
+)
 from flx.assets.formats.parts import Part
 from flx.assets.formats.schema import check_document
 from flx.geometry.color import srgb
@@ -35,13 +43,18 @@ IN_PBR = ("base_color", "metallic_roughness")  # slots that lie in pbrMetallicRo
 TRIANGLES, STRIP, FAN = 4, 5, 6
 MOST_VALUES = 1 << 22  # in the JSON: an empty list of three bytes takes a hundred in memory
 MOST_PARTS = 1 << 14
+MOVES = {"rotation", "scale", "translation"}
+UNMOVED = np.eye(4)
+
+
+View = bytes | memoryview
 
 
 class Gltf(NamedTuple):
     """A glTF file with all its bytes; `document["bufferViews"][i]` describes `views[i]`."""
 
     document: dict
-    views: tuple[bytes, ...]
+    views: tuple[View, ...]
     substitutions: tuple[str, ...] = ()  # images that were found under another name than the file's
 
 
@@ -62,9 +75,14 @@ def read_gltf(path: Path) -> Gltf:
     except (ValueError, RecursionError) as fault:
         raise BadFile(f"its JSON is broken ({str(fault)[:80]}); export it again") from fault
     check_document(document)
+    held: dict[str, bytes] = {}  # what is named more than once is held once
+
+    def fetch(uri: str) -> bytes:
+        return held[uri] if uri in held else held.setdefault(uri, _resource(uri, path.parent))
+
     try:
-        buffers = [_buffer(i, b, chunk, path.parent) for i, b in enumerate(document.get("buffers", []))]
-        views = [_view(i, v, buffers) for i, v in enumerate(document.get("bufferViews", []))]
+        buffers = [_buffer(i, b, chunk, fetch) for i, b in enumerate(document.get("buffers", []))]
+        views: list[View] = [_view(i, v, buffers) for i, v in enumerate(document.get("bufferViews", []))]
     except KeyError as fault:
         raise BadFile(f"a buffer or buffer view has no {fault}; export it again") from fault
     substitutions = []
@@ -75,13 +93,14 @@ def read_gltf(path: Path) -> Gltf:
         other = "" if image["uri"].startswith("data:") else found_beside(path.parent, name)
         substitutions += [substitution((name, other))] if other else []
         try:
-            content = _resource(quote(other) or image["uri"], path.parent)
+            content = fetch(quote(other) or image["uri"])
         except FileNotFoundError:
             continue
         kind = KINDS.get(content[:3])
         image["mimeType"] = f"image/{kind}" if kind else image.get("mimeType", "image/png")
         image["bufferView"] = append_view(document, views, content)
         del image["uri"]
+    _check_overlap(views, sum(map(len, (chunk, *held.values()))))
     return Gltf(document, tuple(views), tuple(substitutions))
 
 
@@ -102,19 +121,26 @@ def _chunks(data: bytes) -> tuple[bytes, bytes]:
     return chunks[b"JSON"], chunks.get(b"BIN\0", b"")
 
 
-def _buffer(index: int, buffer: dict, chunk: bytes, folder: Path) -> bytes:
-    content = _resource(buffer["uri"], folder) if "uri" in buffer else chunk
+def _buffer(index: int, buffer: dict, chunk: bytes, fetch: Callable[[str], bytes]) -> bytes:
+    content = fetch(buffer["uri"]) if "uri" in buffer else chunk
     if len(content) < buffer["byteLength"]:
         sizes = f"{len(content):,} bytes of {buffer['byteLength']:,}"
         raise BadFile(f"buffer {index} has {sizes}; export it again")
     return content
 
 
-def _view(index: int, view: dict, buffers: list[bytes]) -> bytes:
+def _view(index: int, view: dict, buffers: list[bytes]) -> memoryview:
     start, length = view.get("byteOffset", 0), view["byteLength"]
     if start + length > len(buffers[view["buffer"]]):
         raise BadFile(f"buffer view {index} ends past its buffer; export it again")
-    return buffers[view["buffer"]][start : start + length]
+    return memoryview(buffers[view["buffer"]])[start : start + length]
+
+
+def _check_overlap(views: Sequence[View], there: int) -> None:
+    """Raises BadFile where views show the same bytes too often: each is decoded and written on its own."""
+    if (excess := sum(map(len, views)) - there) > limit("FLX_MAX_BYTES"):
+        what = f"{len(views):,} buffer views of {there:,} bytes overlap by {excess:,}"
+        raise BadFile(f"{what}; export it again, or set FLX_MAX_BYTES={excess}")
 
 
 def _resource(uri: str, folder: Path) -> bytes:
@@ -134,7 +160,7 @@ def append(document: dict, key: str, entry: dict) -> int:
     return len(document[key]) - 1
 
 
-def append_view(document: dict, views: list[bytes], content: bytes) -> int:
+def append_view(document: dict, views: list[View], content: bytes) -> int:
     """Adds a buffer view; its offset is set when the file is written."""
     views.append(content)
     return append(document, "bufferViews", {"buffer": 0, "byteLength": len(content)})
@@ -151,7 +177,7 @@ def accessor(gltf: Gltf, index: int) -> Num[Any, "N C"]:
     width, count, sparse = WIDTHS[entry["type"]], entry["count"], entry.get("sparse")
     if "bufferView" in entry:
         rows = _rows(gltf, entry, entry["componentType"], width, count)
-    elif sparse and count <= sum(map(len, gltf.views)):
+    elif sparse and count <= min(sum(map(len, gltf.views)), 3 * limit("FLX_MAX_FACES")):
         rows = np.zeros((count, width), COMPONENTS[entry["componentType"]])
     else:
         raise BadFile(f"accessor {index} has no data; save the file without compression")
@@ -184,13 +210,14 @@ def scene_nodes(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"]]]:
     nodes, seen = document.get("nodes", []), set()
     children = {child for node in nodes for child in node.get("children", [])}
     scenes = document.get("scenes") or [{"nodes": [i for i in range(len(nodes)) if i not in children]}]
-    stack = [(i, np.eye(4)) for i in reversed(scenes[document.get("scene", 0)].get("nodes", []))]
+    stack = [(i, UNMOVED) for i in reversed(scenes[document.get("scene", 0)].get("nodes", []))]
     while stack:
         index, parent = stack.pop()
         if index in seen:
             raise BadFile(f"the scene shows node {index} twice; export it again")
         seen.add(index)
-        world = parent @ _local_transform(nodes[index])
+        with np.errstate(all="ignore"):  # what grows without bound is refused where a vertex is
+            world = parent @ _local_transform(nodes[index])
         yield index, world
         stack.extend((child, world) for child in reversed(nodes[index].get("children", [])))
 
@@ -198,16 +225,18 @@ def scene_nodes(document: dict) -> Iterator[tuple[int, Float64[Any, "4 4"]]]:
 def _local_transform(node: dict) -> Float64[Any, "4 4"]:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    x, y, z, w = np.array(node.get("rotation", [0, 0, 0, 1]), np.float64)
-    transform = np.eye(4)
-    transform[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    transform[:3, :3] *= np.array(node.get("scale", [1, 1, 1]), np.float64)
-    transform[:3, 3] = node.get("translation", [0, 0, 0])
-    return transform
+    if not MOVES & node.keys():
+        return UNMOVED
+    x, y, z, w = map(float, node.get("rotation", (0, 0, 0, 1)))
+    i, j, k = map(float, node.get("scale", (1, 1, 1)))
+    right, up, ahead = map(float, node.get("translation", (0, 0, 0)))
+    rows = (
+        ((1 - 2 * (y * y + z * z)) * i, (2 * (x * y - z * w)) * j, (2 * (x * z + y * w)) * k, right),
+        ((2 * (x * y + z * w)) * i, (1 - 2 * (x * x + z * z)) * j, (2 * (y * z - x * w)) * k, up),
+        ((2 * (x * z - y * w)) * i, (2 * (y * z + x * w)) * j, (1 - 2 * (x * x + y * y)) * k, ahead),
+        (0.0, 0.0, 0.0, 1.0),
+    )
+    return np.array(rows)
 
 
 def parts(gltf: Gltf) -> list[Part]:

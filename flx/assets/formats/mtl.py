@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flx.assets.formats.files import BadFile, numbers
+from flx.assets.formats.files import BadFile, numbers, text_of
 from flx.assets.formats.parts import Material
 from flx.types import Slot
 
@@ -71,7 +71,7 @@ def material_name(statement: Statement) -> str:
 
 
 def _text(value: bytes) -> str:
-    return value.decode(errors="replace").strip()
+    return text_of(value).strip()
 
 
 def file_name(statement: Statement) -> FileName | None:

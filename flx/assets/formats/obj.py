@@ -1,9 +1,9 @@
 """Parses Wavefront OBJ: text → triangles by material.
 
 Our own reader. trimesh's drops rows that it does not understand, wraps indices that are out of range and
-leaves quadrangles to its mesh class; here every number is read, or the file is refused. Polygons are cut into
-fans; relative indices count from their own line; corners that differ in v, vt or vn are different vertices.
-`formats.mtl` reads the materials, `formats.obj_source` keeps the text and writes it again.
+leaves quadrangles to its mesh class; here every number is read, or the file is refused. Relative indices
+count from their own line; corners that differ in v, vt or vn are different vertices. `formats.polygons` cuts
+polygons, `formats.mtl` reads the materials, `formats.obj_source` keeps the text and writes it again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,6 +14,7 @@ from jaxtyping import Float32, Float64, Int
 
 from flx.assets.formats.files import BadFile, check_faces, numbers
 from flx.assets.formats.parts import Part
+from flx.assets.formats.polygons import cut_polygons
 from flx.geometry.arrays import distinct_rows
 from flx.types import Faces
 
@@ -55,7 +56,7 @@ def parse_obj(text: str, name: str) -> Obj:
         raise BadFile(f"the face on line {line} has {sizes.min()} corners; export it again")
     check_faces(int((sizes - 2).sum()))
     corners = _resolve(_corners(faces.rows), np.repeat(faces.places, sizes), lines)
-    triangles, owners = fans(sizes)
+    triangles, owners = cut_polygons(sizes, points[corners[:, 0], :3])
 
     numbered: dict[str, int] = {}
     of_use = [numbered.setdefault(" ".join(row.split()), len(numbered)) for row in uses.rows]
@@ -167,15 +168,6 @@ def _resolve(corners: Int[Any, "C 3"], places: Int[Any, "C"], lines: dict[str, L
             raise BadFile(f"line {places[at]} names {kind} {index[at]}, but {counted}; export it again")
         resolved[:, column] = np.where(index == OMITTED, OMITTED, zero_based)
     return resolved
-
-
-def fans(sizes: Int[Any, "N"]) -> tuple[Int[Any, "F 3"], Int[Any, "F"]]:
-    """Triangles of polygons with these numbers of corners, laid end to end; and the polygon of each."""
-    counts = sizes - 2
-    owners = np.repeat(np.arange(len(sizes)), counts)
-    steps = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
-    first = (np.cumsum(sizes) - sizes)[owners]
-    return np.stack([first, first + steps + 1, first + steps + 2], 1), owners
 
 
 def unmerge(corners: Int[Any, "C K"]) -> tuple[Int[Any, "R K"], Int[Any, "F 3"]]:

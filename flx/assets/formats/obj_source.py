@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int
 
 from flx.assets.formats import mtl
-from flx.assets.formats.files import BadFile, found_beside, inside, is_there, limit, read_file
+from flx.assets.formats.files import BadFile, found_beside, inside, is_there, limit, read_file, text_of
 from flx.assets.formats.mtl import edited, files_named, line_end, repainted
 from flx.assets.formats.obj import color_scale
 from flx.files import write_atomically
@@ -92,7 +92,7 @@ def _statements(pattern: re.Pattern[bytes], text: bytes) -> Iterator[re.Match[by
 
 def _names(folder: Path, value: bytes) -> list[str]:
     """The files of one mtllib: a name that may hold spaces, or several that each end in .mtl."""
-    whole = re.sub(NEXT_LINE, b" ", value).decode(errors="replace").strip()
+    whole = text_of(re.sub(NEXT_LINE, b" ", value)).strip()
     if not whole:
         return []
     several = re.split(r"(?<=\.mtl)\s+", whole, flags=re.IGNORECASE)
@@ -197,7 +197,7 @@ def only_object(source: ObjSource) -> str:
     """The name of the only object; "" without one, and where there are several."""
     found = _statements(STRUCTURE, source.text)
     names = {match["value"].strip() for match in found if match["key"] == b"o"}
-    return names.pop().decode(errors="replace") if len(names) == 1 else ""
+    return text_of(names.pop()) if len(names) == 1 else ""
 
 
 def structure(source: ObjSource) -> dict[str, int]:

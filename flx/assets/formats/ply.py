@@ -6,6 +6,7 @@ against the size of the body first. An ASCII body is converted to float64 and re
 """
 
 import itertools
+import math
 import re
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -14,8 +15,9 @@ import numpy as np
 from jaxtyping import Float64, Int, Num
 
 from flx.assets.formats.files import BadFile, check_faces, numbers
-from flx.assets.formats.obj import colors_of, fans, split_corners
+from flx.assets.formats.obj import colors_of, split_corners
 from flx.assets.formats.parts import Part
+from flx.assets.formats.polygons import cut_polygons
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -29,6 +31,7 @@ READ = {
 }
 ASCII = "ASCII text"  # not kept: flx writes binary
 CHUNK = 1 << 22  # characters of an ASCII body handled at a time
+PIECE = 1 << 18  # places handled at a time, where rows of different lengths may begin
 MOST_HEADER = 1 << 16
 COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
@@ -200,25 +203,66 @@ def _read_alike(element: Element, fields: Fields, content: Body, start: int) -> 
 
 
 def _read_each(element: Element, fields: Fields, content: Body, start: int) -> tuple[Columns, int]:
-    """Rows one by one."""
-    values: dict[str, list] = {name: [] for name, *_ in fields}
-    for row in range(element.length):
-        for name, kind, count in fields:
-            size, width = 1, np.dtype(kind).itemsize
-            try:
-                if count:
-                    size, start = _size(content, count, start)
-                if start + width * size > len(content):
-                    raise ValueError
-            except ValueError:
-                raise BadFile(f"{element.name} {row} is cut off or broken; export it again") from None
-            values[name].append(np.frombuffer(content, kind, size, start))
-            start += width * size
-    columns = {}
-    for name, _, count in fields:
-        sizes = np.array([len(rows) for rows in values[name]]) if count else None
-        columns[name] = Column(np.concatenate(values[name]), sizes)
-    return columns, start
+    """Rows of different lengths. Only those of elements that are used are kept."""
+    starts, end = _row_starts(element, fields, content, start)
+    columns, at = {}, starts
+    for name, kind, count in fields if element.name in READ else ():
+        width, sizes = np.dtype(kind).itemsize, np.ones(len(starts), np.int64)
+        if count:
+            sizes = _anywhere(content, count)[at].astype(np.int64)
+            at = at + np.dtype(count).itemsize
+        inner = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        values = _anywhere(content, kind)[np.repeat(at, sizes) + width * inner] if sizes.any() else []
+        columns[name] = Column(np.asarray(values, kind), sizes if count else None)
+        at = at + width * sizes
+    return columns, end
+
+
+def _row_starts(element: Element, fields: Fields, content: Body, start: int) -> tuple[Int[Any, "R"], int]:
+    """Where each row begins, and where the next element does.
+
+    Where a row ends depends on its lists. So, a piece of the file at a time, the end of a row is computed for
+    every place at which one may begin; then only the links from row to row are followed one by one.
+    """
+    kinds = [kind for _, *both in fields for kind in both if kind]
+    step = math.gcd(*(np.dtype(kind).itemsize for kind in kinds))  # places that are possible
+    starts: list[Int[Any, n]] = []
+    row, at = 0, start
+    while row < element.length:
+        places = np.arange(at, min(at + step * PIECE, len(content) + 1), step)
+        ends = _row_ends(places, fields, content)
+        links, here, found = ends.tolist(), 0, []
+        while row + len(found) < element.length and here < len(links):
+            if links[here] < 0:
+                raise BadFile(f"{element.name} {row + len(found)} is cut off or broken; export it again")
+            found.append(here)
+            at = links[here]
+            here = (at - int(places[0])) // step
+        starts.append(places[found])
+        row += len(found)
+    return np.concatenate(starts), at
+
+
+def _row_ends(places: Int[Any, "N"], fields: Fields, content: Body) -> Int[Any, "N"]:
+    """The end of a row that begins at each place; −1 where there is none."""
+    ends, good = places.copy(), np.ones(len(places), bool)
+    for _, kind, count in fields:
+        sizes = 1
+        if count:
+            width = np.dtype(count).itemsize
+            good &= ends + width <= len(content)
+            lengths = _anywhere(content, count)[np.where(good, ends, 0)].astype(np.float64)
+            good &= (lengths >= 0) & (lengths < 1 << 31) & (lengths == np.floor(lengths))
+            sizes = np.where(good, lengths, 0).astype(np.int64)
+            ends += width
+        ends += np.dtype(kind).itemsize * sizes
+    return np.where(good & (ends <= len(content)), ends, -1)
+
+
+def _anywhere(content: Body, kind: str) -> Num[Any, "N"]:
+    """The value that begins at each byte, without a copy."""
+    size = len(content) - np.dtype(kind).itemsize + 1
+    return np.ndarray((max(size, 0),), kind, content, strides=(1,))
 
 
 def _size(content: Body, kind: str, at: int) -> tuple[int, int]:
@@ -248,8 +292,9 @@ def _parts(
     wrong = ~((indices >= 0) & (indices < len(points)) & (indices == np.floor(indices)))
     if wrong.any():
         raise BadFile(f"a face names vertex {indices[wrong][0]:g} of {len(points)}; export it again")
-    triangles, owners = fans(corners.sizes)
-    faces = indices.astype(np.int64)[triangles]
+    order = indices.astype(np.int64)
+    triangles, owners = cut_polygons(corners.sizes, points[order])
+    faces = order[triangles]
     rows, uvs = np.arange(len(points)), None
     for pair in COORDINATES:
         uvs = _stacked(vertex, pair) if set(pair) <= vertex.keys() else uvs

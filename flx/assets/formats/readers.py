@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from flx.assets.formats import glb, gltf
-from flx.assets.formats.files import BadFile, found_beside, inside, read_file, substitution
+from flx.assets.formats.files import BadFile, found_beside, inside, read_file, substitution, text_of
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.mtl import parse_mtl
 from flx.assets.formats.obj import parse_obj
@@ -101,7 +101,7 @@ def _read_obj(path: Path) -> Contents:
     content = read_file(path)
     if b"\0" in content:
         raise BadFile("not text, as an OBJ file is; export it again")
-    obj = parse_obj(content.decode("utf-8-sig", errors="replace"), path.stem)
+    obj = parse_obj(text_of(content), path.stem)
     libraries, lost, renames = read_libraries(path.parent, content)
     maps, missing = find_maps(path.parent, libraries)
     defined: dict[str, Material] = {}

@@ -14,12 +14,19 @@ from flx.geometry.remesh.features import features
 from flx.geometry.remesh.operators import flip_edges
 from flx.geometry.remesh.smoothing import ReferenceSurface, smooth
 from flx.geometry.remesh.stars import Stars, independent, sharpest_cosines
-from flx.geometry.remesh.tighten import FAIR_COSINE, FEW_SHARP, gap_to_close, pin_missed_points, tighten
+from flx.geometry.remesh.tighten import (
+    FAIR_COSINE,
+    FEW_SHARP,
+    HOPELESS,
+    gap_to_close,
+    pin_missed_points,
+    tighten,
+)
 from flx.geometry.topology import topology
 from flx.types import Triangulation
 
 SHARP_COSINE = np.cos(np.radians(38.0))  # vertices of faces with a smaller angle are moved
-TRIES, MOST_TRIES = 24, 96  # rounds of random moves; up to the second number while many corners stay sharp
+TRIES, MOST_TRIES = 24, 96  # rounds of random moves; up to the second number while many stay sharp, not most
 NARROW_COSINE = np.cos(np.radians(20.0))  # in faces with a smaller angle, feature vertices may move too
 PIN_ROUNDS = 3  # rounds of pinning; the smoothing after each loses a few points again
 
@@ -46,7 +53,7 @@ def widen_angles(
     kind, rim = features(vertices, faces, topo)[1], topo.rim
     cosines = sharpest_cosines(vertices, faces)
     for attempt in range(MOST_TRIES):
-        if attempt >= TRIES and (cosines > FAIR_COSINE).mean() < FEW_SHARP:
+        if attempt >= TRIES and not FEW_SHARP < (cosines > FAIR_COSINE).mean() < HOPELESS:
             break
         needles = mark(topo.count, faces[cosines > NARROW_COSINE])
         movers = np.unique(faces[cosines > SHARP_COSINE])

@@ -1,9 +1,12 @@
 """Laws of reading a glTF: its parts lie where another reader puts them."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import trimesh
 from helpers.scene import container, save
+from reports.hostile import views_of_one_buffer
 
 from flx.assets.asset import Painting
 from flx.assets.formats.gltf import Gltf, accessor, parts, read_gltf
@@ -175,3 +178,13 @@ def test_a_spoilt_file_is_one_line_that_names_it(tmp_path, spoil, match):
     with pytest.raises(ValueError, match=match) as caught:
         read_asset(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_views_of_the_same_bytes_take_no_memory_of_their_own(tmp_path):
+    path = views_of_one_buffer(200)(tmp_path)
+    tracemalloc.start()
+    file = read_gltf(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert sum(map(len, file.views)) > 199 << 20 and peak < 10 << 20
+    assert file.views[203][: len(file.views[0])] == file.views[0] and any(file.views[0])

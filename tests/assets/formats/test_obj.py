@@ -7,8 +7,9 @@ from helpers.files import OBJ, corners
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flx.assets.formats.obj import fans, parse_obj
+from flx.assets.formats.obj import parse_obj
 from flx.assets.formats.ply import parse_ply
+from flx.assets.formats.polygons import fans
 
 
 def test_relative_indices_count_from_their_own_line():

@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.files import PLY, corners, obj, ply_binary, png
+from hypothesis import given
+from hypothesis import strategies as st
 
+from flx.assets.formats import ply as plies
 from flx.assets.formats.ply import parse_ply
 from flx.assets.read import read_asset
 
@@ -64,3 +67,45 @@ def test_a_texture_that_no_corner_knows_is_refused(tmp_path):
     path = obj(lambda text: text.replace("f 1/1 3/2 2/3", "f 1 3 2"))(tmp_path)
     with pytest.raises(ValueError, match="no texture coordinates"):
         read_asset(path)
+
+
+KINDS = {"uchar": "B", "ushort": "H", "int": "i", "float": "f", "double": "d"}
+RANGES = {"uchar": 200, "ushort": 60_000, "int": 10**6, "float": 100, "double": 100}
+
+
+@given(st.integers(0, 10**6))
+def test_rows_of_any_lengths_are_read_as_one_by_one(seed):
+    """Points between lists, behind an element that is not used; in pieces of a few bytes, too."""
+    rng = np.random.default_rng(seed)
+    order, name = [("<", "little"), (">", "big")][rng.integers(2)]
+    counts, kinds = ["uchar", "ushort", "int"], list(KINDS)
+    lists = [(rng.choice(counts), rng.choice(kinds), "") for _ in range(rng.integers(1, 4))]
+    head, body, points = f"ply\nformat binary_{name}_endian 1.0\n", b"", []
+    for element, length in (("junk", int(rng.integers(5))), ("vertex", 4)):
+        head += f"element {element} {length}\n"
+        fields: list = [*[("float", axis) for axis in "xyz"], *lists]
+        fields = [fields[i] for i in rng.permutation(len(fields))]
+        for i, field in enumerate(fields):
+            words = f"list {field[0]} {field[1]} p{i}" if len(field) == 3 else " ".join(field)
+            head += f"property {words}\n"
+        for _ in range(length):
+            for field in fields:
+                kind, size = field[1] if len(field) == 3 else field[0], 1
+                if len(field) == 3:
+                    size = int(rng.integers(6))
+                    body += struct.pack(order + KINDS[field[0]], size)
+                values = rng.integers(0, RANGES[kind], size).tolist()
+                body += struct.pack(f"{order}{size}{KINDS[kind]}", *values)
+                if len(field) == 2 and element == "vertex":
+                    points.append((field[1], *values))
+    head += "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    body += struct.pack(f"{order}B3iB4i", 3, 0, 1, 2, 4, 0, 1, 2, 3)
+    wanted = [[value for axis, value in points if axis == wished] for wished in "xyz"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plies, "PIECE", [1, 7, 1 << 18][rng.integers(3)], raising=False)
+        part = parse_ply(head.encode() + body, "a").parts[0]
+        assert part.positions.T.tolist() == wanted
+        assert part.faces[0].tolist() == [0, 1, 2] and sorted(set(part.faces[1:].ravel())) == [0, 1, 2, 3]
+        cut = rng.integers(1, len(body))
+        with pytest.raises(ValueError, match=r"too short|cut off|no faces"):
+            assert parse_ply(head.encode() + body[:-cut], "a").parts, "no faces"

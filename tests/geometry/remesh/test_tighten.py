@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers.oracles import assert_sound, mean_edge
-from helpers.surfaces import icosphere, rough, square_grid
+from helpers.surfaces import basket, icosphere, rough, square_grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,6 +11,7 @@ from flx.geometry.arrays import area_normals
 from flx.geometry.remesh import tighten as tightening
 from flx.geometry.remesh.deviation import EASY, distances_to_mesh, measure_faces, measure_mesh
 from flx.geometry.remesh.finishing import finish
+from flx.geometry.remesh.remesh import remesh
 from flx.geometry.remesh.smoothing import ReferenceSurface
 from flx.geometry.remesh.stars import longest_sides, sharpest_cosines
 from flx.geometry.remesh.tighten import (
@@ -177,6 +178,22 @@ def test_a_mesh_that_is_its_own_surface_comes_back_bit_for_bit():
     assert sharpest_cosines(*mesh).max() < FAIR_COSINE
     after = tighten(mesh, ReferenceSurface(*mesh, mean_edge(mesh)), 0.01, np.random.default_rng(0))
     assert after.vertices.tobytes() == mesh.vertices.tobytes() and (after.faces == mesh.faces).all()
+
+
+@pytest.mark.parametrize("bar", [4, 1])
+def test_the_search_ends_where_most_of_a_mesh_stays_bad(bar, monkeypatch):
+    """Bars about as wide as an edge, and far thinner; else there are 240 tries of the whole mesh."""
+    monkeypatch.setattr(tightening, "SMALL", 0, raising=False)
+    tried, work = tightening._take_over, []
+
+    def watched(fit, *others):
+        work.append(len(fit.faces))
+        tried(fit, *others)
+
+    monkeypatch.setattr(tightening, "_take_over", watched)
+    copy = remesh(*basket(12, 3, bar=bar, hole=4), 700, seed=0)
+    assert len(copy.faces) < sum(work) < 8 * len(copy.faces)
+    assert len(copy.vertices) == 700
 
 
 @pytest.mark.parametrize("seed", [0, 2])
