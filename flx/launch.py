@@ -7,8 +7,8 @@
   flx evaluate             a table: how well each method keeps the textures of some meshes
   flx bench                timings of this machine
 
-`flx COMMAND --help` lists its options. Exit status: 0 done, 1 failed on the way, 2 wrong input. Errors are
-one line; `--verbose` adds the traceback.
+`flx COMMAND --help` lists its options. Exit status: 0 done, 1 failed on the way, 2 wrong input,
+130 stopped by Ctrl-C. Errors are one line; `--verbose` adds the traceback.
 """
 
 import os
@@ -16,20 +16,10 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 
-from tyro.extras import SubcommandApp
-
 from flx import __version__
-from flx.commands import train
-from flx.commands.bench import Bench
-from flx.commands.doctor import Doctor
-from flx.commands.evaluate import Evaluate
-from flx.commands.reconstruct import Reconstruct
-from flx.commands.sample import Sample
+from flx.stopping import ended_by_signals
 
-# JAX is imported inside the commands: `--help` and `doctor` stay quick, and the processes that build
-# copies of a mesh import this file too.
-
-COMMANDS = {kind.__name__.lower(): kind for kind in (Doctor, Sample, Reconstruct, Evaluate, Bench)}
+COMMANDS = ("doctor", "sample", "reconstruct", "evaluate", "bench")  # and train
 
 
 def parse(words: Sequence[str]) -> Callable[[], None]:
@@ -38,9 +28,20 @@ def parse(words: Sequence[str]) -> Callable[[], None]:
     Raises ValueError where `flx train` gets neither a mesh nor a config, and SystemExit after help or for a
     wrong option (the message names the nearest one).
     """
+    # Loaded here: signals are answered by now, and the processes that make copies, which load this file too,
+    # need none of it. JAX is loaded inside the commands, so that `--help` and `doctor` stay quick.
+    from tyro.extras import SubcommandApp
+
+    from flx.commands import train
+    from flx.commands.bench import Bench
+    from flx.commands.doctor import Doctor
+    from flx.commands.evaluate import Evaluate
+    from flx.commands.reconstruct import Reconstruct
+    from flx.commands.sample import Sample
+
     app = SubcommandApp()
     app.command(name="train")(train.command(words[1:] if words[0] == "train" else ()))
-    for name, command in COMMANDS.items():
+    for name, command in zip(COMMANDS, (Doctor, Sample, Reconstruct, Evaluate, Bench), strict=True):
         app.command(name=name)(command)
     return app.cli(prog="flx", args=words)
 
@@ -61,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"there is no command {words[0]!r}; use one of {names}", 2)
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     try:
-        parse(words)()
+        with ended_by_signals():
+            parse(words)()
     except (ValueError, OSError, FloatingPointError, MemoryError) as error:
         if verbose:
             traceback.print_exc()

@@ -20,13 +20,29 @@ SOURCES = sorted(Path(flx.__file__).parent.rglob("*.py"))
 
 @pytest.mark.parametrize(
     "module",
-    ["flx.types", "flx.config", "flx.geometry.copies", "flx.assets.read", "flx.assets.vase", "flx.launch"],
+    [
+        "flx.types",
+        "flx.config",
+        "flx.geometry.copies",
+        "flx.assets.read",
+        "flx.assets.vase",
+        "flx.commands.doctor",
+        "flx.commands.train",
+        "flx.commands.sample",
+        "flx.pipeline.workers",
+    ],
 )
 def test_geometry_and_the_command_line_load_no_jax(module):
     """Copies are built in processes that import this much; `--help` is quick."""
     code = f"import sys, {module}; print([m for m in ('jax', 'flax') if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_the_processes_that_make_copies_load_little_of_the_command_line():
+    """They load the file that was started; and until it is loaded, no signal is answered."""
+    loaded = python("import sys, flx.launch; print(*sys.modules)").split()
+    assert "flx.launch" in loaded and not {"numpy", "scipy", "tyro", "jax"} & set(loaded)
 
 
 def python(code: str) -> str:

@@ -18,6 +18,7 @@ from flx.assets.asset import own_painting
 from flx.assets.vase import vase_asset
 from flx.assets.write import write
 from flx.launch import main
+from flx.machine import Memory
 
 ROOT = Path(__file__).parent.parent
 SMOKE = str(ROOT / "experiments" / "smoke.py")
@@ -188,7 +189,13 @@ def test_no_variations_are_refused(trained, monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("--train.steps", "0"), ("--train.batch", "0"), ("--train.ema", "1"), ("--surface.copies", "0")],
+    [
+        ("--train.steps", "0"),
+        ("--train.batch", "0"),
+        ("--train.ema", "1"),
+        ("--surface.copies", "0"),
+        ("--workers", "0"),
+    ],
 )
 def test_a_number_out_of_its_range_is_refused_before_anything_is_made(
     tmp_path, monkeypatch, capsys, field, value
@@ -196,6 +203,26 @@ def test_a_number_out_of_its_range_is_refused_before_anything_is_made(
     monkeypatch.chdir(tmp_path)
     said = refusal(["train", SMOKE, "--name", "wrong", field, value], capsys)
     assert f"{field[2:]} is {value}" in said and not (tmp_path / "runs" / "wrong").exists()
+
+
+@pytest.mark.parametrize(
+    ("field", "told"),
+    [("vertices", "a copy of 100,000,000 vertices"), ("copies", "100,000,000 copies of 800 vertices")],
+)
+def test_what_cannot_fit_into_memory_is_refused_at_once(tmp_path, monkeypatch, capsys, field, told):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("flx.geometry.copies.memory", lambda: Memory(16e9, 8e9))
+    said = refusal(["train", SMOKE, f"--surface.{field}", "100000000"], capsys)
+    assert said.count("\n") == 1 and told in said and "this machine has 16 GB; give at most" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_it_is_refused_before_jax_is_loaded(tmp_path):
+    """JAX takes seconds."""
+    words = ["train", SMOKE, "--surface.vertices", "1000000000000"]
+    code = f"import sys; from flx.launch import main; print(main({words}), 'jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.strip() == "2 False" and done.stderr.count("\n") == 1
 
 
 def test_a_misspelt_field_is_answered_with_the_nearest_one(tmp_path, monkeypatch, capsys):
@@ -247,7 +274,7 @@ def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampl
 @pytest.mark.slow
 def test_a_mesh_needs_no_config(trained):
     """The demo's settings, the run named after the file; every field is an option all the same."""
-    few = ["--train.steps", "2", "--surface.vertices", "300", "--surface.copies", "1"]
+    few = ["--train.steps", "2", "--surface.vertices", "300", "--surface.copies", "1", "--workers", "2"]
     arguments = ["train", "vase.glb", *few, "--model.channels", "4"]
     assert flx(*arguments, cwd=trained).stdout.strip() == "runs/vase"
     config = json.loads((trained / "runs" / "vase" / "config.json").read_bytes())["config"]

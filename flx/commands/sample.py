@@ -46,6 +46,7 @@ def sample(options: Sample) -> Path:
     from flx.pipeline.canvas import check_size, shown, side_by_side
     from flx.pipeline.generator import sampler_named
     from flx.pipeline.variations import generate
+    from flx.stopping import keeping
     from flx.training.load import load_generator
 
     check_size(options.texture_size)
@@ -63,6 +64,11 @@ def sample(options: Sample) -> Path:
     made = generate(generator, *rules, options.controls)
     bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
     variations, ratios = [], []
+    keeping(
+        lambda: (
+            f"{len(ratios)} of {options.count} variations are in {out}; the same command makes the same again"
+        )
+    )
     for file, baked in zip(files, bar, strict=True):
         write(asset, baked, file)
         write_atlases(asset, baked, file)

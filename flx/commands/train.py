@@ -10,31 +10,38 @@ import tyro
 
 from flx.assets.formats.readers import READERS
 from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, quick, read_config
+from flx.geometry.copies import check_memory
 
 if TYPE_CHECKING:
     from flx.training.run import Run
 
 
-def learn(experiment: Experiment, root: Path = Path("runs")) -> "Run":
+def learn(experiment: Experiment, root: Path = Path("runs"), workers: int | None = None) -> "Run":
     """Train what the experiment describes, resuming where it stopped; return its run.
 
     Args:
         experiment: An `FLDMExperiment` (one mesh) or an `FLVAEExperiment` (a folder of images).
         root: The folder of runs; the run's own is named after the experiment.
+        workers: Processes that prepare the copies of a mesh; as many as processors and memory allow, at most
+            8, unless given.
 
-    Raises ValueError for an experiment that cannot be trained, and where a run of that name is another one.
+    Raises ValueError for an experiment that cannot be trained, or not on this machine, and where a run of
+    that name is another one.
 
     Example:
         run = flx.train(flx.quick("bowl.glb", name="bowl"))
         generator = flx.load_generator(run.folder)
     """
+    if workers is not None and workers < 1:
+        raise ValueError(f"--workers is {workers}; give at least 1")
     if isinstance(experiment, FLVAEExperiment):
         from flx.training.flvae import learn_flvae
 
         return learn_flvae(experiment, root)
+    check_memory(experiment.surface.vertices, experiment.surface.copies)
     from flx.training.fldm import learn_fldm
 
-    return learn_fldm(experiment, root)
+    return learn_fldm(experiment, root, workers)
 
 
 def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
@@ -47,6 +54,7 @@ def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
 
     def train(
         what: tyro.conf.Positional[Path],
+        workers: int | None = None,
         experiment: Annotated[type(experiment), tyro.conf.arg(name="")] = experiment,  # pyright: ignore
     ) -> Callable[[], None]:
         """Learn a mesh. The same command goes on where it was stopped.
@@ -56,8 +64,10 @@ def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
 
         Args:
             what: A mesh file (.glb, .gltf, .obj or .ply), or a config such as experiments/demo.py.
+            workers: Processes that prepare the copies of a mesh; as many as processors and memory allow, at
+                most 8, unless given.
         """
-        return lambda: _run(experiment)
+        return lambda: _run(experiment, workers)
 
     return train
 
@@ -73,8 +83,8 @@ def _experiment(path: Path) -> Experiment:
     return read_config(path)
 
 
-def _run(experiment: Experiment) -> None:
-    run = learn(experiment)
+def _run(experiment: Experiment, workers: int | None = None) -> None:
+    run = learn(experiment, workers=workers)
     if isinstance(experiment, FLDMExperiment):
         print(
             f"{run.folder}: learnt; flx sample {shlex.quote(str(run.folder))} makes new textures",

@@ -28,11 +28,12 @@ from flx.evaluation.lpips import HINT, installed_judges
 from flx.evaluation.neural_field import intrinsic_field
 from flx.files import write_atomically
 from flx.geometry.atlas import with_filled_gutters
-from flx.geometry.copies import sample_rings
+from flx.geometry.copies import check_memory, sample_rings
 from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, check_size, open_canvas
 from flx.pipeline.codec import BARYCENTRIC, load_codec
 from flx.pipeline.patches import SUFFIXES, image_files
+from flx.stopping import keeping
 
 METHODS = get_args(Compared)
 FITTED = ("pca", "frame_pca")  # methods that are fitted to images
@@ -54,6 +55,7 @@ def reconstruction_table(options: Comparison) -> list[Row]:
         raise ValueError("there is nothing to evaluate; name meshes after --reconstruction")
     if unknown := [name for name in methods if name not in METHODS]:
         raise ValueError(f"there is no method {unknown[0]!r}; choose from {', '.join(METHODS)}")
+    check_memory(max(options.vertices))
     check_size(options.texture_size)
     judges = installed_judges()
     if not judges:
@@ -77,6 +79,9 @@ def reconstruction_table(options: Comparison) -> list[Row]:
     def finished() -> list[Row]:
         return [rows[k] | {"mesh": cell[0]} for cell, k in keys.items() if k in rows]
 
+    keeping(
+        lambda: f"{len(finished())} of {len(keys)} rows are kept in {out}; the same command adds the rest"
+    )
     with tqdm(total=len(keys), desc="rows", unit="row", dynamic_ncols=True) as bar:
         bar.update(len(finished()))
         for path, count in product(options.reconstruction, options.vertices):

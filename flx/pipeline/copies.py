@@ -2,11 +2,8 @@
 
 import contextlib
 import hashlib
-import os
 import zipfile
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,10 +16,14 @@ from flx.config import Surface
 from flx.files import write_atomically
 from flx.geometry import copies
 from flx.geometry.atlas import with_filled_gutters
+from flx.machine import memory, processors
 from flx.pipeline.codec import Codec
+from flx.pipeline.workers import in_processes
+from flx.stopping import keeping
 from flx.types import MeshTables, TexturedMesh, Triangulation
 
 MOST_WORKERS = 8  # a worker holds the mesh and its textures
+SHARE = 0.8  # of the free memory, for workers
 
 
 def triangulate(
@@ -37,12 +38,14 @@ def triangulate(
         samples: Colours in each one-ring; 64 for the released FL-VAE.
         slots: The most neighbours of a vertex, itself included.
 
-    Raises ValueError where the surface has no triangulation of so few vertices.
+    Raises ValueError where the surface has no triangulation of so few vertices, and for more than fit into
+    this machine's memory.
 
     Example:
         copy = flx.triangulate(asset, vertices=5000)
         latents = flx.load_codec().encode(copy.rings)  # [5000, 8], complex
     """
+    copies.check_memory(vertices)
     return copies.make_copy(with_filled_gutters(asset.mesh), vertices, samples, slots, seed)
 
 
@@ -88,33 +91,51 @@ def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Ca
     return Cache(folder, hashlib.sha256(repr(parts).encode()).hexdigest()[:12])
 
 
-def prepare(cache: Cache, asset: Asset, surface: Surface, codec: Codec) -> None:
-    """Make the copies that the cache lacks, in a process pool; each is there whole or not at all."""
+def prepare(cache: Cache, asset: Asset, surface: Surface, codec: Codec, workers: int | None = None) -> None:
+    """Make the copies that the cache lacks, each in one of several processes; each is there whole or not.
+
+    `workers` is their number; as many as processors and free memory allow, at most 8, unless given.
+    """
     seeds = range(surface.seed, surface.seed + surface.copies)
     if not (missing := [seed for seed in seeds if not cache.has(seed)]):
         return
-    made = _copies(with_filled_gutters(asset.mesh), surface, codec.config.samples, missing)
-    for seed, copy in tqdm(made, total=len(missing), desc="copies", unit="copy", dynamic_ncols=True):
-        cache.save(seed, Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings)))
+
+    def kept() -> str:
+        there = sum(map(cache.has, seeds))
+        return (
+            f"{there:,} of {len(seeds):,} copies are kept in {cache.folder}; the same command makes the rest"
+        )
+
+    keeping(kept)
+    made = _copies(with_filled_gutters(asset.mesh), surface, codec.config.samples, missing, workers)
+    bar = tqdm(made, total=len(missing), desc="copies", unit="copy", dynamic_ncols=True)
+    with contextlib.closing(made), contextlib.closing(bar):
+        try:
+            for seed, copy in bar:
+                cache.save(seed, Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings)))
+        except (ChildProcessError, MemoryError) as death:
+            kind = MemoryError if isinstance(death, MemoryError) else ChildProcessError
+            raise kind(f"{death}; {kept()}, and --workers 1 needs the least memory") from death
 
 
 def _copies(
-    mesh: TexturedMesh, surface: Surface, samples: int, seeds: list[int]
-) -> Iterator[tuple[int, copies.Copy]]:
-    """Copies as they are ready. The pool spawns: forking a process that has started JAX can deadlock."""
-    workers = min(MOST_WORKERS, os.cpu_count() or 1, len(seeds))
-    args = (surface.vertices, samples, surface.slots)
+    mesh: TexturedMesh, surface: Surface, samples: int, seeds: list[int], workers: int | None
+) -> Generator[tuple[int, copies.Copy]]:
+    """Copies as they are ready."""
+    tasks = [(surface.vertices, samples, surface.slots, seed) for seed in seeds]
+    workers = min(workers or _workers(copies.memory_to_make(surface.vertices, mesh)), len(seeds))
     if workers == 1:
-        for seed in seeds:
-            yield seed, copies.make_copy(mesh, *args, seed)
-        return
-    with ProcessPoolExecutor(workers, get_context("spawn"), copies.begin, (mesh,)) as pool:
-        waiting = {pool.submit(copies.make_copy_here, *args, seed): seed for seed in seeds}
-        try:
-            for done in as_completed(waiting):
-                yield waiting.pop(done), done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        for seed, task in zip(seeds, tasks, strict=True):
+            yield seed, copies.make_copy(mesh, *task)
+    else:
+        for n, copy in in_processes(copies.make_copy, (mesh,), tasks, workers):
+            yield seeds[n], copy
+
+
+def _workers(bytes_each: float) -> int:
+    """As many as there are processors for, and free memory."""
+    fit = int(SHARE * free.free / bytes_each) if (free := memory()) else MOST_WORKERS
+    return max(1, min(MOST_WORKERS, processors(), fit))
 
 
 def save_tables(path: Path, tables: MeshTables) -> None:

@@ -7,7 +7,6 @@ it. Using it needs neither the optimiser nor the run folder nor the other copies
 
 import hashlib
 import json
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
@@ -30,7 +29,7 @@ from flx.config import FLDM, FLVAE, STEPS, FLDMExperiment, Sampler, from_json
 from flx.fields import samplers
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import Scaling, diffuse
-from flx.files import write_atomically
+from flx.files import temporary_folder, write_atomically
 from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.unet import UNet, denoise, schedule
@@ -113,7 +112,7 @@ class Generator:
     @cached_property
     def asset(self) -> Asset:
         """The asset that it learnt from, read from its own files."""
-        folder = tempfile.TemporaryDirectory(prefix="flx-")
+        folder = temporary_folder()
         # The folder lives as long as the generator: an OBJ copies its maps when it is written.
         self.__dict__["_folder"] = folder
         for name, content in self.source.files.items():

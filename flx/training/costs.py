@@ -7,10 +7,10 @@ and `flx bench`.
 from typing import NamedTuple
 
 from flx.config import FLDMExperiment
+from flx.geometry.copies import COPY_BYTES
 from flx.models.denoiser.depth import blocks_for
 
 COPY_SECONDS = 1.6e-4  # per vertex of a copy: remeshing, tables and colours, two copies at a time
-COPY_BYTES = 600  # on disk, per vertex of a copy: tables and codes
 # Per vertex, channel, block and copy of a training step, by network.
 STEP_SECONDS = {"vectors": 5.0e-7, "mixed": 2.7e-7}
 STEP_BYTES = 900  # memory, per the same

@@ -29,9 +29,10 @@ from flx.pipeline.generator import (
     parameter_shapes,
     save_generator,
 )
+from flx.stopping import keeping
 from flx.training.log import say
 from flx.training.loop import LossFn, restore, train
-from flx.training.run import Run, open_run
+from flx.training.run import Run, kept, open_run
 from flx.training.run_asset import keep, read_copy, read_source, source_of
 from flx.types import MeshTables
 
@@ -44,7 +45,7 @@ class MeshBatch(NamedTuple):
     times: Any  # Int32 [B], from 1 to T
 
 
-def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
+def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = None) -> Run:
     """Prepare the asset (cached), then train a field-latent diffusion model on its copies.
 
     The run folder gets `generator.safetensors` at each checkpoint. Raises ValueError where the experiment's
@@ -58,7 +59,9 @@ def learn_fldm(experiment: FLDMExperiment, root: Path) -> Run:
     fingerprint = hashlib.sha256((asset.digest + codec.digest()).encode()).hexdigest()
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
-    copies, scaling, home = load_copies(run, asset, surface, codec, experiment.model.emphasis)
+    emphasis = experiment.model.emphasis
+    copies, scaling, home = load_copies(run, asset, surface, codec, emphasis, workers)
+    keeping(lambda: kept(run))
     source = source_of(run, surface, asset)
     seen = reach(home.tables, network.blocks)
     say(f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices")
@@ -91,14 +94,14 @@ def draw_times(model: FLDM, seed: int, first: int, count: int) -> Int32[np.ndarr
 
 
 def load_copies(
-    run: Run, asset: Asset, surface: Surface, codec: Codec, emphasis: float
+    run: Run, asset: Asset, surface: Surface, codec: Codec, emphasis: float, workers: int | None = None
 ) -> tuple[tuple[MeshTables, Complex64[np.ndarray, "B V D"]], Scaling, Home]:
     """Tables and scaled latents of all copies of the asset, prepared if need be, and the scaling.
 
     The first copy is also returned as it is: the generator samples on it.
     """
     cache = open_cache(run.prepared, asset, surface, codec)
-    prepare(cache, asset, surface, codec)
+    prepare(cache, asset, surface, codec, workers)
     copies = [cache.load(surface.seed + k) for k in range(surface.copies)]
     latents = [copy.latents for copy in copies]
     scaling = latent_scaling(np.concatenate(latents), codec.config.invariants)

@@ -10,8 +10,9 @@ from flx.models.codec import frame
 from flx.models.codec.vae import FieldLatentVAE, flvae_loss
 from flx.pipeline.codec import Codec, initial_params, save_codec
 from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, PatchBatch, first_rings
+from flx.stopping import keeping
 from flx.training.loop import LossFn, train
-from flx.training.run import Run, open_run
+from flx.training.run import Run, kept, open_run
 
 
 def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
@@ -19,6 +20,7 @@ def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     config = experiment.train
     patches = ImagePatches(experiment.images, experiment.model, config.batch)
     run = open_run(root, experiment, patches.digest)
+    keeping(lambda: kept(run))
     state = train(run, config, starting_params(experiment, patches), image_loss(experiment), patches)
     rings = config.steps * config.batch * PATCH_VERTICES
     card = {"steps": config.steps, "rings": rings, "images": len(patches.images)}

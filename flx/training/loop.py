@@ -7,8 +7,6 @@ the row before; a checkpoint ends a row.
 """
 
 import contextlib
-import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator
@@ -22,6 +20,7 @@ from jax import Array
 from jaxtyping import Int32, UInt32
 
 from flx.config import Train
+from flx.stopping import Noted
 from flx.training.checkpoint import Checkpoints
 from flx.training.log import Log, say
 from flx.training.optimizer import learning_rate, make_optimizer
@@ -98,7 +97,8 @@ def train(
 
     `loss_fn(params, batch, key) → (loss, scalars by name)` is pure; `batches(step)` is a pytree of fresh
     arrays, of the same shapes at each step, made in a thread of its own. `save(step, averaged parameters)` is
-    called at each checkpoint. On SIGTERM or SIGINT the state is saved and SystemExit(128 + signal) raised.
+    called at each checkpoint. On a signal to stop, the step is finished, its state saved and SystemExit(128 +
+    signal) raised; a second one acts at once.
     Raises FloatingPointError at the first step with a number that is not finite (the checkpoint before it
     stays), and ValueError where another process trains here.
     """
@@ -110,12 +110,12 @@ def train(
         done = int(state.step)
         if done >= config.steps:
             return state
-        with _Stop() as stop, contextlib.closing(_prefetch(batches, done, config.steps)) as feed:
+        with contextlib.closing(_prefetch(batches, done, config.steps)) as feed:
             batch = next(feed)
             began = time.monotonic()
             step = jax.jit(make_step(config, loss_fn), donate_argnums=0).lower(state, batch).compile()
             say(f"{run.folder}: compiled the train step in {time.monotonic() - began:.1f} s")
-            with contextlib.closing(Log(run, config, done, checkpoints)) as log:
+            with Noted() as stop, contextlib.closing(Log(run, config, done, checkpoints)) as log:
                 under_way = None  # the scalars of the step that the device works on
                 while True:
                     state, scalars = step(state, batch)
@@ -152,22 +152,3 @@ def _prefetch(batches: Batches, first: int, last: int, depth: int = 2) -> Genera
                 yield waiting.popleft().result()
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-class _Stop:
-    """While open, the first SIGTERM or SIGINT is only noted in `signal`; a second one acts as usual."""
-
-    def __enter__(self) -> "_Stop":
-        self.signal: int | None = None
-        self._usual = {}
-        if threading.current_thread() is threading.main_thread():  # elsewhere Python takes no handlers
-            self._usual = {s: signal.signal(s, self._note) for s in (signal.SIGTERM, signal.SIGINT)}
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        for number, handler in self._usual.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, _: Any) -> None:
-        self.signal = number
-        self.__exit__()

@@ -101,6 +101,13 @@ def only_trainer(run: Run) -> Iterator[None]:
         lock.release()
 
 
+def kept(run: Run) -> str:
+    """What of a run an interruption keeps, and how to go on."""
+    steps = [int(path.name) for path in run.checkpoints.glob("*") if path.name.isdigit()]
+    saved = f"saved at step {max(steps)}" if steps else "no step is saved yet, what is prepared is kept"
+    return f"{run.folder}: {saved}; the same command goes on from there"
+
+
 def _refuse_another(run: Run, old: dict[str, Any], new: dict[str, Any]) -> None:
     """Raise ValueError where the recorded run is another one than the new record describes."""
     changed = [d for d in _differences(old["config"], new["config"]) if d[0] != "name"]

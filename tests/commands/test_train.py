@@ -17,6 +17,6 @@ def test_a_model_that_cannot_be_made_leaves_no_run_behind(tmp_path):
 
 
 def test_the_next_command_is_told_as_a_shell_takes_it(monkeypatch, capsys):
-    monkeypatch.setattr(train, "learn", lambda experiment: Run(Path("runs/my vase")))
+    monkeypatch.setattr(train, "learn", lambda experiment, workers: Run(Path("runs/my vase")))
     train._run(FLDMExperiment())
     assert "; flx sample 'runs/my vase' makes" in capsys.readouterr().err

@@ -22,6 +22,8 @@ from flx.assets.read import read_asset
 from flx.config import Surface
 from flx.geometry.copies import make_copy
 from flx.geometry.tables import mesh_tables
+from flx.machine import Memory
+from flx.pipeline import copies
 from flx.pipeline.codec import Codec, initial_params
 from flx.pipeline.copies import Cache, Prepared, load_tables, open_cache, prepare, save_tables
 
@@ -162,6 +164,45 @@ def test_a_damaged_copy_is_refused_by_name_and_made_again_once_it_is_deleted(
     path.unlink()
     prepare(cache, asset, SURFACE, codec)
     assert_same(cache.load(7), made.load(7))
+
+
+@pytest.mark.parametrize("kind", [ChildProcessError, MemoryError])
+def test_where_memory_runs_out_the_copies_so_far_are_kept_and_counted(
+    tmp_path, monkeypatch, asset, codec, made, kind
+):
+    def dying(function, shared, tasks, workers):
+        yield 0, function(*shared, *tasks[0])
+        raise kind("a worker died")
+
+    monkeypatch.setattr(copies, "in_processes", dying)
+    cache = open_cache(tmp_path, asset, SURFACE, codec)
+    with pytest.raises(kind) as death:
+        prepare(cache, asset, SURFACE, codec, workers=2)
+    told = f"a worker died; 1 of 2 copies are kept in {tmp_path}; the same command makes the rest"
+    assert str(death.value) == f"{told}, and --workers 1 needs the least memory"
+    assert_same(cache.load(7), made.load(7))
+
+
+def test_workers_fit_into_the_free_memory_and_are_no_more_than_processors(monkeypatch):
+    monkeypatch.setattr(copies, "processors", lambda: 6)
+    monkeypatch.setattr(copies, "memory", lambda: Memory(64e9, 10e9))
+    assert [copies._workers(each) for each in (1e8, 2e9, 3e9, 1e11)] == [6, 4, 2, 1]
+    monkeypatch.setattr(copies, "memory", lambda: None)
+    assert copies._workers(1e12) == 6
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system does not tell the peak")
+def test_a_copy_takes_about_as_much_memory_as_is_estimated():
+    """In a process of its own."""
+    script = (
+        "from pathlib import Path; from flx.assets.vase import vase_asset\n"
+        "from flx.geometry.copies import make_copy, memory_to_make\n"
+        "make_copy(mesh := vase_asset().mesh, 3000, 64, 16, 0)\n"
+        "peak = 1024 * int(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])\n"
+        "print(peak / memory_to_make(3000, mesh))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert 0.4 < float(done.stdout) < 1.5
 
 
 def test_copies_are_kept_apart_by_all_that_they_hang_on(tmp_path, asset, codec, made):
