@@ -58,7 +58,7 @@ def trained(vase) -> Path:
 @pytest.fixture(scope="module")
 def sampled(trained: Path) -> Path:
     flx("sample", "runs/smoke", "--count", "2", "--steps", "4", "--texture-size", "256", cwd=trained)
-    return trained / "runs" / "smoke" / "samples"
+    return trained / "runs" / "smoke" / "samples-texture-size-256-steps-4"
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_the_same_seed_gives_the_same_files_after_a_kill(trained, sampled):
         time.sleep(0.02)
     killed.kill()
     killed.wait()
-    left = [p for p in (trained / "again").iterdir() if not p.name.startswith(".")]
+    left = [p for p in (trained / "again").glob("[!.]*") if p.suffix != ".json"]  # that lists less so far
     assert left and all(path.read_bytes() == wanted[path.name] for path in left)
     flx(*arguments, cwd=trained)
     for name, content in wanted.items():
@@ -209,16 +209,18 @@ def test_the_generator_alone_samples_the_same_files(trained, sampled, tmp_path):
     content = (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
     (tmp_path / "vase.safetensors").write_bytes(content)
     arguments = ["vase.safetensors", "--count", "1", "--steps", "4", "--texture-size", "256"]
-    assert flx("sample", *arguments, cwd=tmp_path).stdout.strip() == "samples"
+    assert flx("sample", *arguments, cwd=tmp_path).stdout.strip() == "samples-texture-size-256-steps-4"
     for name in ("variation_00.glb", "variation_00.png"):
-        assert (tmp_path / "samples" / name).read_bytes() == (sampled / name).read_bytes()
+        assert (tmp_path / "samples-texture-size-256-steps-4" / name).read_bytes() == (
+            sampled / name
+        ).read_bytes()
 
 
 @pytest.mark.slow
 def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampled, tmp_path):
     """It has no generator file, and its config says what the model then was thought to be."""
     run = tmp_path / "runs" / "smoke"
-    shutil.copytree(trained / "runs" / "smoke", run, ignore=shutil.ignore_patterns("samples", "generator*"))
+    shutil.copytree(trained / "runs" / "smoke", run, ignore=shutil.ignore_patterns("samples*", "generator*"))
     record = json.loads((run / "config.json").read_bytes())
     del record["flx"]
     record["config"]["model"] |= {"latents": 8, "invariants": 0, "blocks": None}

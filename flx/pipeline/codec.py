@@ -35,9 +35,7 @@ class Codec(NamedTuple):
 
     def digest(self) -> str:
         """SHA-256 of the weights."""
-        leaves = flatten_dict(self.params).items()
-        content = b"".join(repr(k).encode() + np.asarray(v).tobytes() for k, v in sorted(leaves))
-        return hashlib.sha256(content).hexdigest()
+        return digest_of(self.params)
 
     def encode(self, rings: RingSamples) -> Complex64[np.ndarray, "V D"]:
         """The mean code of each one-ring, in the frame of its vertex."""
@@ -52,6 +50,13 @@ class Codec(NamedTuple):
         whole = _in_chunks(partial(_expand, self.config), self.params, z, VERTICES)
         fixed = (self.params, jax.tree.map(jnp.asarray, whole))
         return lambda queries: _in_chunks(partial(_blend, self.config), fixed, queries, POINTS)
+
+
+def digest_of(params: Any) -> str:
+    """SHA-256 of the parameters of a network."""
+    leaves = flatten_dict(params).items()
+    content = b"".join(repr(k).encode() + np.asarray(v).tobytes() for k, v in sorted(leaves))
+    return hashlib.sha256(content).hexdigest()
 
 
 @partial(jax.jit, static_argnums=0)
