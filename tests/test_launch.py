@@ -42,7 +42,7 @@ def vase(tmp_path_factory) -> Path:
 def trained(vase) -> Path:
     """Beside it, a run of the smoke experiment that was killed and called again."""
     folder = vase
-    arguments = ["train", SMOKE, "--surface.path", "vase.glb"]
+    arguments = ["train", SMOKE, "--surface.path", "vase.glb", "--name", "smoke"]
     killed = subprocess.Popen([sys.executable, "-m", "flx.launch", *arguments], cwd=folder)
     first = folder / "runs" / "smoke" / "checkpoints" / "10"
     while not first.exists() and killed.poll() is None:
@@ -240,7 +240,7 @@ def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampl
     )
     assert (tmp_path / "a" / "variation_00.glb").read_bytes() == (sampled / "variation_00.glb").read_bytes()
     shutil.copy(trained / "vase.glb", tmp_path)
-    flx("train", SMOKE, "--surface.path", "vase.glb", cwd=tmp_path)
+    flx("train", SMOKE, "--surface.path", "vase.glb", "--name", "smoke", cwd=tmp_path)
     new = (run / "generator.safetensors").read_bytes()
     assert new == (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
     assert json.loads((run / "config.json").read_bytes())["config"]["model"]["invariants"] == 3

@@ -3,6 +3,7 @@
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,12 +43,13 @@ def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
 
     Raises ValueError where it names neither.
     """
-    named = arguments[0] if arguments and not arguments[0].startswith("-") else ""
-    experiment = _experiment(Path(named)) if named else quick()
+    what = arguments[0] if arguments and not arguments[0].startswith("-") else ""
+    default = _experiment(Path(what)) if what else quick()
+    named = any(word.split("=")[0] == "--name" for word in arguments)
 
     def train(
         what: tyro.conf.Positional[Path],
-        experiment: Annotated[type(experiment), tyro.conf.arg(name="")] = experiment,  # pyright: ignore
+        experiment: Annotated[type(default), tyro.conf.arg(name="")] = default,  # pyright: ignore
     ) -> Callable[[], None]:
         """Learn a mesh. The same command goes on where it was stopped.
 
@@ -57,9 +59,17 @@ def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
         Args:
             what: A mesh file (.glb, .gltf, .obj or .ply), or a config such as experiments/demo.py.
         """
-        return lambda: _run(experiment)
+        return lambda: _run(experiment if named else _named_after_mesh(experiment, default))
 
     return train
+
+
+def _named_after_mesh(experiment: Experiment, default: Experiment) -> Experiment:
+    """The experiment with the name of its mesh, if that is another one than in the config."""
+    if not isinstance(experiment, FLDMExperiment) or not isinstance(default, FLDMExperiment):
+        return experiment
+    ours, theirs = Path(experiment.surface.path).stem, Path(default.surface.path).stem
+    return experiment if ours == theirs else replace(experiment, name=ours or "vase")
 
 
 def _experiment(path: Path) -> Experiment:

@@ -1,9 +1,9 @@
 """Run folders: `runs/<config name>` holds all that one training made, and nothing of another.
 
 `config.json` records every field of the experiment and the fingerprint of its asset. A folder is reopened
-only by the same experiment on the same asset; any other is refused. Three fields may change between calls
-(`STEERING`). Of these, `train.steps` is also the length of the cosine schedule: a resumed run takes its
-remaining steps at the learning rates of the new length.
+only by the same experiment on the same asset; any other is refused. Some fields may change between calls
+(`STEERING`), and the files of the asset may have been moved. `train.steps` is also the length of the cosine
+schedule: a resumed run takes its remaining steps at the learning rates of the new length.
 Files appear whole or not at all, so that a kill at any moment leaves a folder that the next call can use.
 """
 
@@ -22,7 +22,16 @@ from flx import __version__
 from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, from_json
 from flx.files import write_atomically
 
-STEERING = ("train.steps", "train.log_every", "train.checkpoint_every")  # may change between calls
+# What each field that may change between calls does to the training; "" for nothing.
+STEERING = {
+    "train.steps": "its cosine schedule now has that length",
+    "train.batch": "it goes on with that batch",
+    "surface.copies": "it goes on with that many",  # only more: the seeds of the first ones stay the same
+    "surface.up": "",
+    "train.log_every": "",
+    "train.checkpoint_every": "",
+}
+PLACES = ("surface.path", "surface.texture", "weights", "images.folder")  # the fingerprint says what is there
 OPEN = ("model.latents", "model.invariants", "model.blocks")  # left open by records without a version
 _KINDS = {kind.__name__: kind for kind in (FLVAEExperiment, FLDMExperiment)}
 
@@ -58,8 +67,7 @@ def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
         _refuse_another(run, _read(run.config), record)
     elif strangers := _visible(run.folder):
         raise ValueError(
-            f"{run.folder} has no config.json but holds {strangers[0]}; give the run another name with "
-            f"--name, or delete {run.folder}"
+            f"{run.folder} has no config.json but holds {strangers[0]}; give the run another name with --name"
         )
     write_atomically(run.config, (json.dumps(record, indent=2) + "\n").encode())
     return run
@@ -106,20 +114,27 @@ def _refuse_another(run: Run, old: dict[str, Any], new: dict[str, Any]) -> None:
     changed = [d for d in _differences(old["config"], new["config"]) if d[0] != "name"]
     if "flx" not in old:  # an earlier version, which did not record what was left open
         changed = [d for d in changed if not (d[0] in OPEN and d[1] is None)]
-    faults = [f"{place} = {was}, not {now}" for place, was, now in changed if place not in STEERING]
+    moved = old["fingerprint"] == new["fingerprint"]
+    faults = [f"{p} = {was}, not {now}" for p, was, now in changed if not _is_harmless(p, was, now, moved)]
     if old["kind"] != new["kind"]:
         faults = [f"an {old['kind']}, not an {new['kind']}"]
     elif old["fingerprint"] != new["fingerprint"]:
-        faults.append(f"another asset (fingerprint {old['fingerprint']}, not {new['fingerprint']})")
+        faults.append(f"another asset (fingerprint {old['fingerprint'][:12]}, not {new['fingerprint'][:12]})")
     if faults:
         raise ValueError(
-            f"{run.folder} was made with {', '.join(faults)}; give it another name with --name, "
-            f"or delete {run.folder}"
+            f"{run.folder} was made with {', '.join(faults)}; give the new run another name with --name"
         )
     for place, was, now in changed:
-        if place == "train.steps":
-            message = f"{run.folder}: train.steps {was} → {now}; its cosine schedule now has that length"
-            print(message, file=sys.stderr)
+        if effect := STEERING.get(place):
+            print(f"{run.folder}: {place} {was} → {now}; {effect}", file=sys.stderr)
+
+
+def _is_harmless(place: str, was: Any, now: Any, moved: bool) -> bool:
+    """Whether a run may go on with another value; `moved`: what it learns from is the same, if elsewhere."""
+    if place in PLACES:
+        # The run's copy of the mesh is found by the mesh's name.
+        return moved and (not place.startswith("surface") or Path(was or "").name == Path(now or "").name)
+    return place in STEERING and (place != "surface.copies" or now > was)
 
 
 def _differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -142,7 +157,7 @@ def _read(path: Path) -> dict[str, Any]:
         if "flx" not in record and record["kind"] == "FLDMExperiment":
             record["config"]["model"] |= {"latents": None, "invariants": None}  # they were not the codec's
     except (ValueError, KeyError, TypeError) as error:
-        message = f"{path} does not record a run ({error}); delete {path.parent} and train it again"
+        message = f"{path} does not record a run ({error}); restore it, or train under another --name"
         raise ValueError(message) from None
     return record
 
