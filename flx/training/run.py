@@ -55,12 +55,14 @@ class Run:
 def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
     """Create the folder `root/<experiment.name>`, or reopen it for the same experiment and asset.
 
-    Raises ValueError if the name is not a folder name, or the folder belongs to another experiment or asset.
+    Raises ValueError if the name is not a folder name, if the folder belongs to another experiment or asset,
+    and if there is a link in it.
     """
     name = experiment.name
     if Path(name).name != name or name in ("", ".."):
         raise ValueError(f"{name!r} is not a folder name; give the run a name without slashes with --name")
     run = Run(Path(root) / name)
+    _refuse_links(run.folder)
     record = {"flx": __version__, "kind": type(experiment).__name__, "fingerprint": fingerprint}
     record |= {"config": json.loads(json.dumps(asdict(experiment)))}  # as it reads back: tuples are lists
     if run.config.exists():
@@ -76,9 +78,11 @@ def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
 def load_config(folder: str | Path) -> Experiment:
     """The experiment that `folder/config.json` records; nothing in the file is executed.
 
-    Raises ValueError where there is no such file, or a field is unknown, missing or of another type.
+    Raises ValueError where there is no such file, where a field is unknown, missing or of another type, and
+    where a link is in the folder.
     """
     path = Run(Path(folder)).config
+    _refuse_links(path.parent)
     if not path.exists():
         raise ValueError(f"{folder} is not a run: it has no config.json; give a folder that `flx train` made")
     record = _read(path)
@@ -107,6 +111,15 @@ def only_trainer(run: Run) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def _refuse_links(folder: Path) -> None:
+    """Raise ValueError where there is a link in a run's folder, which may be a stranger's: what is written or
+    cleared through it lies elsewhere."""
+    for place, folders, files in os.walk(folder):
+        for path in (Path(place, name) for name in (*folders, *files)):
+            if path.is_symlink():
+                raise ValueError(f"{path} is a link; put what it leads to in its place, or train another run")
 
 
 def _refuse_another(run: Run, old: dict[str, Any], new: dict[str, Any]) -> None:

@@ -195,3 +195,27 @@ def test_a_second_trainer_is_refused_and_a_killed_one_is_not_in_the_way(tmp_path
         other.kill()
     with only_trainer(run), pytest.raises(ValueError, match="is being trained"), only_trainer(run):
         pass
+
+
+@pytest.mark.parametrize("place", [".lock", "checkpoints", "asset/files", "events/x", "samples", "loop"])
+def test_a_link_in_a_run_is_refused_before_it_is_followed(tmp_path, place):
+    """A linked lock would be emptied; in a linked folder of checkpoints the older ones would be deleted."""
+    run = open_run(tmp_path, demo, "ab12")
+    (victim := tmp_path / "victim").mkdir()
+    (victim / "1.safetensors").write_text("mine")
+    link = run.folder / place
+    link.parent.mkdir(parents=True, exist_ok=True)
+    target = {".lock": victim / "1.safetensors", "loop": run.folder}.get(place, victim)
+    link.symlink_to(target)
+    for reopens in (lambda: open_run(tmp_path, demo, "ab12"), lambda: load_config(run.folder)):
+        with pytest.raises(ValueError, match=f"{place} is a link; put") as refusal:
+            reopens()
+        assert "\n" not in str(refusal.value)
+    assert (victim / "1.safetensors").read_text() == "mine" and len(list(victim.iterdir())) == 1
+
+
+def test_a_run_may_lie_behind_a_link(tmp_path):
+    open_run(tmp_path / "disk", demo, "ab12")
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "demo").symlink_to(tmp_path / "disk" / "demo")
+    assert load_config(open_run(tmp_path / "runs", demo, "ab12").folder) == demo
