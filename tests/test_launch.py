@@ -44,7 +44,7 @@ def trained(vase) -> Path:
     folder = vase
     arguments = ["train", SMOKE, "--surface.path", "vase.glb", "--name", "smoke"]
     killed = subprocess.Popen([sys.executable, "-m", "flx.launch", *arguments], cwd=folder)
-    first = folder / "runs" / "smoke" / "checkpoints" / "10"
+    first = folder / "runs" / "smoke" / "checkpoints" / "10.safetensors"
     while not first.exists() and killed.poll() is None:
         time.sleep(0.05)
     os.kill(killed.pid, signal.SIGKILL)

@@ -13,12 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Complex64, Float32
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
 from flx.config import FLVAE
-from flx.files import write_atomically
 from flx.models.codec.vae import FieldLatentVAE
+from flx.pipeline.tensors import load_tensors, one_line, save_tensors
 from flx.types import Queries, RingSamples
 
 WEIGHTS = Path(__file__).parent.parent / "weights"
@@ -80,7 +78,7 @@ def _blend(config: FLVAE, params_expanded: tuple[Any, Any], chunk: Queries) -> j
 def save_codec(path: Path, codec: Codec, card: dict[str, str]) -> None:
     """Write weights, configuration and `card` (how they were made) as one safetensors file."""
     tensors = {"/".join(name): np.asarray(a) for name, a in flatten_dict(codec.params["params"]).items()}
-    write_atomically(path, save(tensors, {"flvae": json.dumps(asdict(codec.config)), **card}))
+    save_tensors(path, tensors, "flvae", json.dumps(asdict(codec.config)), card)
 
 
 def load_codec(path: str | Path | None = None) -> Codec:
@@ -100,14 +98,12 @@ def load_codec(path: str | Path | None = None) -> Codec:
     """
     path = Path(path) if path else RELEASED
     try:
-        with safe_open(path, "numpy") as file:
-            config = FLVAE(**json.loads((file.metadata() or {})["flvae"]))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        text, tensors = load_tensors(path, "flvae")
+        config = FLVAE(**json.loads(text))
+    except (TypeError, ValueError) as error:
         raise ValueError(
-            f"{path} holds no FL-VAE weights ({reason}); train some with `flx train experiments/flvae.py`, "
-            "or leave --weights out for the released ones"
+            f"{path} holds no FL-VAE weights ({one_line(error)}); train some with "
+            "`flx train experiments/flvae.py`, or leave --weights out for the released ones"
         ) from None
     if odd := odd_parameter(tensors, jax.eval_shape(lambda: initial_params(config, 0))):
         raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")
