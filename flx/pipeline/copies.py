@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import os
-import zipfile
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
@@ -20,6 +20,7 @@ from flx.files import write_atomically
 from flx.geometry import copies
 from flx.geometry.atlas import with_filled_gutters
 from flx.pipeline.codec import Codec
+from flx.pipeline.tensors import one_line
 from flx.types import MeshTables, TexturedMesh, Triangulation
 
 MOST_WORKERS = 8  # a worker holds the mesh and its textures
@@ -80,6 +81,16 @@ class Cache(NamedTuple):
             triangulation, latents = Triangulation(arrays["vertices"], arrays["faces"]), arrays["latents"]
         return Prepared(triangulation, load_tables(self._tables(seed)), latents)
 
+    def find(self, seed: int) -> Prepared | None:
+        """The copy, or None where it is not there, or damaged, which is said on stderr."""
+        if not self.has(seed):
+            return None
+        try:
+            return self.load(seed)
+        except ValueError as fault:
+            print(f"{fault}; it is made again", file=sys.stderr)
+            return None
+
 
 def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Cache:
     """The cache of the copies that depend on exactly these contents."""
@@ -88,14 +99,18 @@ def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Ca
     return Cache(folder, hashlib.sha256(repr(parts).encode()).hexdigest()[:12])
 
 
-def prepare(cache: Cache, asset: Asset, surface: Surface, codec: Codec) -> None:
-    """Make the copies that the cache lacks, in a process pool; each is there whole or not at all."""
+def prepare(cache: Cache, asset: Asset, surface: Surface, codec: Codec) -> list[Prepared]:
+    """The copies in the order of their seeds: those of the cache, and the others, which are made in a process
+    pool and put there; each file is there whole or not at all."""
     seeds = range(surface.seed, surface.seed + surface.copies)
-    if not (missing := [seed for seed in seeds if not cache.has(seed)]):
-        return
-    made = _copies(with_filled_gutters(asset.mesh), surface, codec.config.samples, missing)
-    for seed, copy in tqdm(made, total=len(missing), desc="copies", unit="copy", dynamic_ncols=True):
-        cache.save(seed, Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings)))
+    found = {seed: cache.find(seed) for seed in seeds}
+    copies = {seed: copy for seed, copy in found.items() if copy is not None}
+    if missing := [seed for seed in seeds if seed not in copies]:
+        made = _copies(with_filled_gutters(asset.mesh), surface, codec.config.samples, missing)
+        for seed, copy in tqdm(made, total=len(missing), desc="copies", unit="copy", dynamic_ncols=True):
+            copies[seed] = Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings))
+            cache.save(seed, copies[seed])
+    return [copies[seed] for seed in seeds]
 
 
 def _copies(
@@ -135,9 +150,12 @@ def load_tables(path: Path) -> MeshTables:
 
 @contextlib.contextmanager
 def _arrays(path: Path, what: str) -> Iterator[Any]:
-    """The arrays of an npz. Raises ValueError, naming the file, if it is damaged or lacks an array."""
+    """The arrays of an npz. Raises ValueError, naming the file, if it is damaged or lacks an array.
+
+    Each array in it has a checksum.
+    """
     try:
         with np.load(path, allow_pickle=False) as file:
             yield file
-    except (KeyError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} holds no {what} ({error}); delete it and prepare again") from error
+    except Exception as error:  # a damaged file may raise anything
+        raise ValueError(f"{path} holds no {what} ({one_line(error)})") from error

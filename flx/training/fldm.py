@@ -84,8 +84,7 @@ def load_copies(run: Run, asset: Asset, surface: Surface, codec: Codec) -> tuple
     The first copy is also returned as it is: the generator samples on it.
     """
     cache = open_cache(run.prepared, asset, surface, codec)
-    prepare(cache, asset, surface, codec)
-    copies = [cache.load(surface.seed + k) for k in range(surface.copies)]
+    copies = prepare(cache, asset, surface, codec)
     latents = [copy.latents for copy in copies]
     scaling = latent_scaling(np.concatenate(latents), codec.config.invariants)
     scaled = np.stack([scaling.to_diffusion(z) for z in latents])
