@@ -1,30 +1,36 @@
 """Files that are written completely or not at all."""
 
+import contextlib
+import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+TORN = ".flx-"  # how the name of a file begins that is not whole yet; the number of its writer follows
 _leftovers: set[Path] = set()  # what this process would leave behind if it ended now
 
 
 def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None:
     """Write a file completely or not at all, even if the process is killed or the power fails.
 
-    `content` is the bytes, or a function that writes to the path it receives, which has the same suffix.
+    `content` is the bytes, or a function that writes to the path it receives, which has the same suffix. What
+    killed writers left in the folder is cleared. Raises OSError, naming the file, where the disk is full.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    torn = path.with_name(f".{os.getpid()}.{path.name}")
+    _clear_torn(path.parent)
+    torn = path.with_name(f"{TORN}{os.getpid()}.{path.name}")
     _leftovers.add(torn)
     try:
-        if isinstance(content, bytes):
-            torn.write_bytes(content)
-        else:
-            content(torn)
-        with open(torn, "rb+") as file:
-            os.fsync(file.fileno())
+        with naming_a_full_disk(path):
+            if isinstance(content, bytes):
+                torn.write_bytes(content)
+            else:
+                content(torn)
+            with open(torn, "rb+") as file:
+                os.fsync(file.fileno())
         os.replace(torn, path)
     finally:
         torn.unlink(missing_ok=True)
@@ -45,3 +51,34 @@ def clear_leftovers() -> None:
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def naming_a_full_disk(path: Path) -> Iterator[None]:
+    """Raise OSError with the file, and what to do, where the disk has no room for what is written inside."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        message = f"the disk is full: {path} was not written; make room, and give the same command again"
+        raise OSError(error.errno, message) from error
+
+
+def _clear_torn(folder: Path) -> None:
+    for torn in folder.glob(f"{TORN}*.*"):
+        writer = torn.name.removeprefix(TORN).partition(".")[0]
+        if writer.isdecimal() and not _is_running(int(writer)):
+            torn.unlink(missing_ok=True)
+
+
+def _is_running(process: int) -> bool:
+    if os.name != "posix":  # elsewhere signal 0 is not only a question
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True

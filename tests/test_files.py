@@ -1,5 +1,10 @@
 """Laws of files: there whole, or not at all."""
 
+import errno
+import os
+import subprocess
+import sys
+
 import pytest
 
 from flx.files import write_atomically
@@ -28,3 +33,24 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     with pytest.raises(OSError, match="full"):
         write_atomically(path, b"new")
     assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_what_killed_writers_left_is_cleared_and_what_others_write_is_not(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        ended.wait()
+    left, in_use, mine = f".flx-{ended.pid}.b.npz", f".flx-{os.getppid()}.b.npz", f".{ended.pid}.notes.txt"
+    for name in (left, in_use, mine, ".flx-x.b"):
+        (tmp_path / name).write_bytes(b"half")
+    write_atomically(tmp_path / "a.npz", b"whole")
+    assert {path.name for path in tmp_path.iterdir()} == {"a.npz", in_use, mine, ".flx-x.b"}
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_said_with_the_file_and_what_to_do(tmp_path, number):
+    def full(torn):
+        torn.write_bytes(b"half")
+        raise OSError(number, "No space left on device")  # of a write: it names no file
+
+    with pytest.raises(OSError, match=r"disk is full: .*a\.npz was not written; make room") as error:
+        write_atomically(tmp_path / "a.npz", full)
+    assert error.value.errno == number and not list(tmp_path.iterdir())

@@ -43,9 +43,9 @@ def vase(tmp_path_factory) -> Path:
 def trained(vase) -> Path:
     """Beside it, a run of the smoke experiment that was killed and called again."""
     folder = vase
-    arguments = ["train", SMOKE, "--surface.path", "vase.glb"]
+    arguments = ["train", SMOKE, "--surface.path", "vase.glb", "--name", "smoke"]
     killed = subprocess.Popen([sys.executable, "-m", "flx.launch", *arguments], cwd=folder)
-    first = folder / "runs" / "smoke" / "checkpoints" / "10"
+    first = folder / "runs" / "smoke" / "checkpoints" / "10.safetensors"
     while not first.exists() and killed.poll() is None:
         time.sleep(0.05)
     os.kill(killed.pid, signal.SIGKILL)
@@ -59,7 +59,7 @@ def trained(vase) -> Path:
 @pytest.fixture(scope="module")
 def sampled(trained: Path) -> Path:
     flx("sample", "runs/smoke", "--count", "2", "--steps", "4", "--texture-size", "256", cwd=trained)
-    return trained / "runs" / "smoke" / "samples"
+    return trained / "runs" / "smoke" / "samples-texture-size-256-steps-4"
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_the_same_seed_gives_the_same_files_after_a_kill(trained, sampled):
         time.sleep(0.02)
     killed.kill()
     killed.wait()
-    left = [p for p in (trained / "again").iterdir() if not p.name.startswith(".")]
+    left = [p for p in (trained / "again").glob("[!.]*") if p.suffix != ".json"]  # that lists less so far
     assert left and all(path.read_bytes() == wanted[path.name] for path in left)
     flx(*arguments, cwd=trained)
     for name, content in wanted.items():
@@ -236,16 +236,18 @@ def test_the_generator_alone_samples_the_same_files(trained, sampled, tmp_path):
     content = (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
     (tmp_path / "vase.safetensors").write_bytes(content)
     arguments = ["vase.safetensors", "--count", "1", "--steps", "4", "--texture-size", "256"]
-    assert flx("sample", *arguments, cwd=tmp_path).stdout.strip() == "samples"
+    assert flx("sample", *arguments, cwd=tmp_path).stdout.strip() == "samples-texture-size-256-steps-4"
     for name in ("variation_00.glb", "variation_00.png"):
-        assert (tmp_path / "samples" / name).read_bytes() == (sampled / name).read_bytes()
+        assert (tmp_path / "samples-texture-size-256-steps-4" / name).read_bytes() == (
+            sampled / name
+        ).read_bytes()
 
 
 @pytest.mark.slow
 def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampled, tmp_path):
     """It has no generator file, and its config says what the model then was thought to be."""
     run = tmp_path / "runs" / "smoke"
-    shutil.copytree(trained / "runs" / "smoke", run, ignore=shutil.ignore_patterns("samples", "generator*"))
+    shutil.copytree(trained / "runs" / "smoke", run, ignore=shutil.ignore_patterns("samples*", "generator*"))
     record = json.loads((run / "config.json").read_bytes())
     del record["flx"]
     record["config"]["model"] |= {"latents": 8, "invariants": 0, "blocks": None}
@@ -265,7 +267,7 @@ def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampl
     )
     assert (tmp_path / "a" / "variation_00.glb").read_bytes() == (sampled / "variation_00.glb").read_bytes()
     shutil.copy(trained / "vase.glb", tmp_path)
-    flx("train", SMOKE, "--surface.path", "vase.glb", cwd=tmp_path)
+    flx("train", SMOKE, "--surface.path", "vase.glb", "--name", "smoke", cwd=tmp_path)
     new = (run / "generator.safetensors").read_bytes()
     assert new == (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
     assert json.loads((run / "config.json").read_bytes())["config"]["model"]["invariants"] == 3

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 from flx.assets.asset import Format
+from flx.commands.output import own_folder, settings
 from flx.config import Surface
 
 
@@ -22,7 +23,8 @@ class Reconstruct:
 
     mesh: Positional[Path]  # a .glb, .gltf, .obj or .ply file
     vertices: int = 30_000  # of the triangulation that carries the codes
-    out: Path | None = None  # folder to write to; MESH-VERTICES unless given
+    # folder to write to; else runs/MESH-there-and-back, with the options that are not the usual ones
+    out: Path | None = None
     texture: Path | None = None  # an image to use instead of the file's own
     texture_size: int | None = None  # pixels on the longer side; the input's, at most 2048, unless given
     # "glb" keeps everything that a GLB or glTF held, "obj" everything of an OBJ; "ply" holds vertex colours
@@ -55,10 +57,12 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
     judges = installed_judges()
     began = time.monotonic()
     asset = read_asset(options.mesh, options.texture)
-    out = options.out or Path(f"{options.mesh.stem}-{options.vertices}")
-    file = out / f"reconstruction.{options.format}"
-    check_output(asset, options.format, [file], [out / "side_by_side.png"])
     codec = load_codec(options.weights)
+    made_by = {**settings(options), "asset": asset.digest, "codec": codec.digest()[:12]}
+    usual, names = Path("runs", f"{options.mesh.stem}-there-and-back"), [f"reconstruction.{options.format}"]
+    out, _ = own_folder(options, usual, asset.digest[:8], "metrics.json", made_by, names)
+    file = out / names[0]
+    check_output(asset, options.format, [file], [out / "side_by_side.png"])
     copy = triangulate(asset, surface.vertices, surface.seed, codec.config.samples, surface.slots)
     asset = prepared_for(asset, options.format)
     canvas = open_canvas(asset, copy.triangulation, options.texture_size)
@@ -67,7 +71,8 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
 
     metrics = {
         "mesh": str(options.mesh),
-        "vertices": options.vertices,
+        "folder": str(out),
+        **made_by,
         **fidelity(asset, baked, judges, canvas.atlases),
         "seam_ratio": seam_ratio(shown(asset, baked)),
         "seam_ratio_input": seam_ratio(asset.mesh),
@@ -75,10 +80,11 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
         "seconds": round(seconds, 2),
         "peak_bytes": peak_bytes(),
     }
+    # First: it says whose files these are.
+    write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
     write(asset, baked, file)
     write_atlases(asset, baked, file)
     write_png(out / "side_by_side.png", side_by_side(asset, [baked], ["reconstruction"], options.up, 512))
-    write_atomically(out / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
     if not judges:
         print(f"flx: {HINT}", file=sys.stderr)
     return metrics

@@ -3,6 +3,7 @@
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -49,13 +50,14 @@ def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
 
     Raises ValueError where it names neither.
     """
-    named = arguments[0] if arguments and not arguments[0].startswith("-") else ""
-    experiment = _experiment(Path(named)) if named else quick()
+    what = arguments[0] if arguments and not arguments[0].startswith("-") else ""
+    default = _experiment(Path(what)) if what else quick()
+    named = any(word.split("=")[0] == "--name" for word in arguments)
 
     def train(
         what: tyro.conf.Positional[Path],
         workers: int | None = None,
-        experiment: Annotated[type(experiment), tyro.conf.arg(name="")] = experiment,  # pyright: ignore
+        experiment: Annotated[type(default), tyro.conf.arg(name="")] = default,  # pyright: ignore
     ) -> Callable[[], None]:
         """Learn a mesh. The same command goes on where it was stopped.
 
@@ -67,9 +69,18 @@ def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
             workers: Processes that prepare the copies of a mesh; as many as processors and memory allow, at
                 most 8, unless given.
         """
-        return lambda: _run(experiment, workers)
+        chosen = experiment if named else _named_after_mesh(experiment, default)
+        return lambda: _run(chosen, workers)
 
     return train
+
+
+def _named_after_mesh(experiment: Experiment, default: Experiment) -> Experiment:
+    """The experiment with the name of its mesh, if that is another one than in the config."""
+    if not isinstance(experiment, FLDMExperiment) or not isinstance(default, FLDMExperiment):
+        return experiment
+    ours, theirs = Path(experiment.surface.path).stem, Path(default.surface.path).stem
+    return experiment if ours == theirs else replace(experiment, name=ours or "vase")
 
 
 def _experiment(path: Path) -> Experiment:

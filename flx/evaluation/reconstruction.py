@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from flx.assets.arrays import sheet_asset
 from flx.assets.asset import Asset
+from flx.assets.formats.files import read_file
 from flx.assets.read import read_asset
 from flx.assets.write import write_png
 from flx.config import Compared, Comparison
@@ -139,7 +140,7 @@ def _digests(methods: Iterable[str], options: Comparison) -> dict[str, str]:
     if options.images and any(name in FITTED for name in digests):
         content = hashlib.sha256()
         for path in image_files(options.images):
-            content.update(path.read_bytes())
+            content.update(read_file(path))
         digests |= {name: content.hexdigest() for name in FITTED if name in digests}
     return digests
 

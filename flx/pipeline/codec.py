@@ -13,13 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Complex64, Float32
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
 from flx.config import FLVAE
 from flx.fields.diffusion import Scaling
-from flx.files import write_atomically
 from flx.models.codec.vae import FieldLatentVAE
+from flx.pipeline.tensors import load_tensors, one_line, save_tensors
 from flx.types import Queries, RingSamples
 
 WEIGHTS = Path(__file__).parent.parent / "weights"
@@ -36,9 +34,7 @@ class Codec(NamedTuple):
 
     def digest(self) -> str:
         """SHA-256 of the weights."""
-        leaves = flatten_dict(self.params).items()
-        content = b"".join(repr(k).encode() + np.asarray(v).tobytes() for k, v in sorted(leaves))
-        return hashlib.sha256(content).hexdigest()
+        return digest_of(self.params)
 
     def encode(self, rings: RingSamples) -> Complex64[np.ndarray, "V D"]:
         """The mean code of each one-ring, in the frame of its vertex."""
@@ -76,6 +72,13 @@ class Codec(NamedTuple):
         return np.array([effect(unit) + 1j * effect(1j * unit) for unit in units], np.complex64)
 
 
+def digest_of(params: Any) -> str:
+    """SHA-256 of the parameters of a network."""
+    leaves = flatten_dict(params).items()
+    content = b"".join(repr(k).encode() + np.asarray(v).tobytes() for k, v in sorted(leaves))
+    return hashlib.sha256(content).hexdigest()
+
+
 @partial(jax.jit, static_argnums=0)
 def _mean_code(config: FLVAE, params: Any, chunk: RingSamples) -> jax.Array:
     posterior: Any = FieldLatentVAE(config).apply(params, chunk, method="encode")
@@ -97,7 +100,7 @@ def _blend(config: FLVAE, params_expanded: tuple[Any, Any], chunk: Queries) -> j
 def save_codec(path: Path, codec: Codec, card: dict[str, str]) -> None:
     """Write weights, configuration and `card` (how they were made) as one safetensors file."""
     tensors = {"/".join(name): np.asarray(a) for name, a in flatten_dict(codec.params["params"]).items()}
-    write_atomically(path, save(tensors, {"flvae": json.dumps(asdict(codec.config)), **card}))
+    save_tensors(path, tensors, "flvae", json.dumps(asdict(codec.config)), card)
 
 
 def load_codec(path: str | Path | None = None) -> Codec:
@@ -117,14 +120,12 @@ def load_codec(path: str | Path | None = None) -> Codec:
     """
     path = Path(path) if path else RELEASED
     try:
-        with safe_open(path, "numpy") as file:
-            config = FLVAE(**json.loads((file.metadata() or {})["flvae"]))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        text, tensors = load_tensors(path, "flvae")
+        config = FLVAE(**json.loads(text))
+    except (TypeError, ValueError) as error:
         raise ValueError(
-            f"{path} holds no FL-VAE weights ({reason}); train some with `flx train experiments/flvae.py`, "
-            "or leave --weights out for the released ones"
+            f"{path} holds no FL-VAE weights ({one_line(error)}); train some with "
+            "`flx train experiments/flvae.py`, or leave --weights out for the released ones"
         ) from None
     if odd := odd_parameter(tensors, jax.eval_shape(lambda: initial_params(config, 0))):
         raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")

@@ -2,8 +2,8 @@
 
 import contextlib
 import hashlib
-import zipfile
-from collections.abc import Generator, Iterator
+import sys
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from flx.geometry import copies
 from flx.geometry.atlas import with_filled_gutters
 from flx.machine import memory, processors
 from flx.pipeline.codec import Codec
+from flx.pipeline.tensors import one_line
 from flx.pipeline.workers import in_processes
 from flx.stopping import keeping
 from flx.types import MeshTables, TexturedMesh, Triangulation
@@ -83,6 +84,16 @@ class Cache(NamedTuple):
             triangulation, latents = Triangulation(arrays["vertices"], arrays["faces"]), arrays["latents"]
         return Prepared(triangulation, load_tables(self._tables(seed)), latents)
 
+    def find(self, seed: int) -> Prepared | None:
+        """The copy, or None where it is not there, or damaged, which is said on stderr."""
+        if not self.has(seed):
+            return None
+        try:
+            return self.load(seed)
+        except ValueError as fault:
+            print(f"{fault}; it is made again", file=sys.stderr)
+            return None
+
 
 def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Cache:
     """The cache of the copies that depend on exactly these contents."""
@@ -91,20 +102,23 @@ def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Ca
     return Cache(folder, hashlib.sha256(repr(parts).encode()).hexdigest()[:12])
 
 
-def prepare(cache: Cache, asset: Asset, surface: Surface, codec: Codec, workers: int | None = None) -> None:
-    """Make the copies that the cache lacks, each in one of several processes; each is there whole or not.
+def prepare(
+    cache: Cache, asset: Asset, surface: Surface, codec: Codec, workers: int | None = None
+) -> list[Prepared]:
+    """The copies in the order of their seeds: those of the cache, and the others, which are made in several
+    processes and put there; each file is there whole or not at all.
 
     `workers` is their number; as many as processors and free memory allow, at most 8, unless given.
     """
     seeds = range(surface.seed, surface.seed + surface.copies)
-    if not (missing := [seed for seed in seeds if not cache.has(seed)]):
-        return
+    found = {seed: cache.find(seed) for seed in seeds}
+    copies = {seed: copy for seed, copy in found.items() if copy is not None}
+    if not (missing := [seed for seed in seeds if seed not in copies]):
+        return [copies[seed] for seed in seeds]
 
     def kept() -> str:
-        there = sum(map(cache.has, seeds))
-        return (
-            f"{there:,} of {len(seeds):,} copies are kept in {cache.folder}; the same command makes the rest"
-        )
+        there = f"{len(copies):,} of {len(seeds):,} copies are kept in {cache.folder}"
+        return f"{there}; the same command makes the rest"
 
     keeping(kept)
     made = _copies(with_filled_gutters(asset.mesh), surface, codec.config.samples, missing, workers)
@@ -112,10 +126,13 @@ def prepare(cache: Cache, asset: Asset, surface: Surface, codec: Codec, workers:
     with contextlib.closing(made), contextlib.closing(bar):
         try:
             for seed, copy in bar:
-                cache.save(seed, Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings)))
+                prepared = Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings))
+                cache.save(seed, prepared)
+                copies[seed] = prepared
         except (ChildProcessError, MemoryError) as death:
             kind = MemoryError if isinstance(death, MemoryError) else ChildProcessError
             raise kind(f"{death}; {kept()}, and --workers 1 needs the least memory") from death
+    return [copies[seed] for seed in seeds]
 
 
 def _copies(
@@ -156,9 +173,12 @@ def load_tables(path: Path) -> MeshTables:
 
 @contextlib.contextmanager
 def _arrays(path: Path, what: str) -> Iterator[Any]:
-    """The arrays of an npz. Raises ValueError, naming the file, if it is damaged or lacks an array."""
+    """The arrays of an npz. Raises ValueError, naming the file, if it is damaged or lacks an array.
+
+    Each array in it has a checksum.
+    """
     try:
         with np.load(path, allow_pickle=False) as file:
             yield file
-    except (KeyError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} holds no {what} ({error}); delete it and prepare again") from error
+    except Exception as error:  # a damaged file may raise anything
+        raise ValueError(f"{path} holds no {what} ({one_line(error)})") from error

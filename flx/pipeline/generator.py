@@ -5,7 +5,6 @@ network, latent scaling, the FL-VAE, the files of the asset that it learnt from,
 it. Using it needs neither the optimiser nor the run folder nor the other copies of the training.
 """
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -18,8 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Complex64, Float64
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
 from flx import __version__
 from flx.assets.asset import Asset
@@ -35,6 +32,7 @@ from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.codec import Codec, initial_params, odd_parameter
+from flx.pipeline.tensors import load_tensors, one_line, save_tensors
 from flx.types import MeshTables, Triangulation
 
 
@@ -211,9 +209,7 @@ def save_generator(path: Path, generator: Generator) -> None:
         "home/faces": np.asarray(faces, np.int32),
         **{f"asset/{name}": np.frombuffer(content, np.uint8) for name, content in source.files.items()},
     }
-    text = json.dumps(record)
-    # One entry: several would be written in any order, and the same generator as other bytes.
-    write_atomically(path, save(tensors, {"generator": f"{_digest(tensors, text)} {text}"}))
+    save_tensors(path, tensors, "generator", json.dumps(record))
 
 
 def read_generator(path: Path) -> Generator:
@@ -222,17 +218,12 @@ def read_generator(path: Path) -> Generator:
     Raises ValueError where the file is missing, damaged, or not a generator of this version.
     """
     try:
-        with safe_open(path, "numpy") as file:
-            digest, _, text = (file.metadata() or {})["generator"].partition(" ")
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        if _digest(tensors, text) != digest:
-            raise ValueError("its content is not what was written")
+        text, tensors = load_tensors(path, "generator")
         return _parse(json.loads(text), tensors)
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(
-            f"{path} cannot be used as a generator ({reason}); give a run folder of `flx train`, or the "
-            "generator.safetensors in it"
+            f"{path} cannot be used as a generator ({one_line(error)}); give a run folder of `flx train`, "
+            "or the generator.safetensors in it"
         ) from None
 
 
@@ -272,12 +263,3 @@ def _nested(prefix: str, tensors: dict[str, np.ndarray], expected: Any) -> Any:
             f"{prefix}/{odd} differs: another version of flx made it; use that version or train anew"
         )
     return {"params": unflatten_dict(jax.tree.map(jnp.asarray, flat), "/")}
-
-
-def _digest(tensors: dict[str, np.ndarray], text: str) -> str:
-    """SHA-256 of the whole content: a flipped bit is never loaded."""
-    digest = hashlib.sha256(text.encode())
-    for name, tensor in sorted(tensors.items()):
-        digest.update(f"{name} {tensor.dtype} {tensor.shape}".encode())
-        digest.update(np.ascontiguousarray(tensor).data)
-    return digest.hexdigest()

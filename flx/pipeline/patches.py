@@ -19,6 +19,8 @@ from jax import Array
 from jaxtyping import Complex, Complex64, Float, Int, UInt8
 from PIL import Image
 
+from flx.assets.formats.files import read_file
+from flx.assets.formats.images import decode_image
 from flx.config import FLVAE, Images
 from flx.geometry.arrays import Rng, area_normals, length_of
 from flx.geometry.copies import points_in_rings, queries_at
@@ -40,11 +42,11 @@ SHEETS, SHEET_VERTICES, PATCHES = 24, 600, 64  # triangulations of the bank; ver
 def load_images(folder: Path) -> UInt8[Any, "N 512 512 3"]:
     """Every image in the folder and its subfolders, as a centred crop of 512² pixels.
 
-    Raises ValueError if there is none.
+    Raises ValueError if there is none, and for a file that is not an image of a known kind and bounded size.
     """
     if not (paths := image_files(folder)):
         raise ValueError(f"{folder} holds no images ({' '.join(SUFFIXES)}); name another --images.folder")
-    return np.stack([_centred_crop(Image.open(path)) for path in paths])
+    return np.stack([_centred_crop(Image.fromarray(decode_image(read_file(p), str(p))[0])) for p in paths])
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -53,8 +55,7 @@ def image_files(folder: Path) -> list[Path]:
 
 
 def _centred_crop(image: Image.Image) -> UInt8[Any, "512 512 3"]:
-    """The central square of the image in RGB; an image that is too small is enlarged first."""
-    image = image.convert("RGB")
+    """The central square of an RGB image; one that is too small is enlarged first."""
     scale = IMAGE_SIDE / min(image.size)
     if scale > 1:
         width, height = (max(IMAGE_SIDE, round(scale * n)) for n in image.size)

@@ -1,10 +1,14 @@
-"""Checkpoints of a training state, written by Orbax in the background, complete or absent.
+"""Checkpoints of a training state, written by Orbax: the folder `40` holds the state after 40 steps.
 
-A save is written under another name and renamed when whole, so a kill during it leaves the one before. The
-two newest stay. States are saved and restored as NumPy arrays: a checkpoint does not depend on the device
-that made it, and the buffers of a saved state may be donated to the next step at once.
+Each folder is there whole or not at all, so a kill during a save leaves the checkpoint before. Beside Orbax's
+files lies a digest of the state: what was damaged is never restored. The two newest stay; where the newest is
+damaged, the one before it is restored. States are saved and restored as NumPy arrays: a checkpoint does not
+depend on the device that made it.
 """
 
+import os
+import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,65 +17,109 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
-absl.logging.set_verbosity(absl.logging.WARNING)  # Orbax reports every save at INFO
+from flx.files import TORN, naming_a_full_disk
+from flx.pipeline.tensors import Tensors, content_digest, one_line
+
+KEPT = 2
+STATE, DIGEST = "default", "digest"  # in a checkpoint's folder
+absl.logging.set_verbosity(absl.logging.FATAL)  # Orbax reports every save, and more than one line of a fault
 
 
 class Checkpoints:
-    """The checkpoints in one folder. Use it as a context: leaving it finishes the last save.
+    """The checkpoints in one folder. Only one process may save there (`run.only_trainer`)."""
 
-    The `writer` clears what a killed save left, so only one may exist at a time (`run.only_trainer`); a
-    reader changes nothing.
-    """
-
-    def __init__(self, folder: Path, writer: bool = False):
+    def __init__(self, folder: Path):
         self.folder = folder
-        options = ocp.CheckpointManagerOptions(max_to_keep=2, create=writer, cleanup_tmp_directories=writer)
-        self._manager = ocp.CheckpointManager(folder.absolute(), options=options)
-
-    def __enter__(self) -> "Checkpoints":
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self._manager.close()
 
     @property
     def latest_step(self) -> int | None:
-        """The step of the newest complete checkpoint."""
-        self.wait()
-        return self._manager.latest_step()
+        """The step of the newest checkpoint."""
+        return max(self._found(), default=None)
 
     def save(self, step: int, state: Any) -> None:
-        """Save a pytree of arrays in the background, as the state after `step` steps."""
-        # On a CPU these are views; while one is alive, JAX gives a step that takes the state other buffers.
-        self._manager.save(step, args=ocp.args.StandardSave(jax.device_get(state)))
+        """Save a pytree of arrays as the state after `step` steps; it is on disk when this returns."""
+        tensors = _named(jax.device_get(state))
+        for torn in self.folder.glob(f"{TORN}*"):  # only one process saves here
+            shutil.rmtree(torn)
+        torn = self.folder / f"{TORN}{os.getpid()}.{step}"
+        with naming_a_full_disk(self.folder / str(step)):
+            with ocp.StandardCheckpointer() as writer:
+                writer.save((torn / STATE).absolute(), tensors)
+            (torn / DIGEST).write_text(content_digest(tensors, str(step)))
+            if (self.folder / str(step)).exists():  # a damaged one
+                shutil.rmtree(self.folder / str(step))
+            torn.rename(self.folder / str(step))
+        found = self._found()
+        # What is ahead of this state was damaged: the training went on from before it.
+        stale = [n for n in found if n > step] + sorted(n for n in found if n <= step)[:-KEPT]
+        for n in stale:
+            shutil.rmtree(found[n])
 
     def restore_latest(self, template: Any) -> tuple[int, Any] | None:
-        """The newest (step, state) as NumPy arrays in the structure of `template`, or None without any.
+        """The newest (step, state) that is whole, as NumPy arrays in the structure of `template`.
 
-        The template's leaves are arrays or `jax.ShapeDtypeStruct`s. Raises ValueError where the checkpoint
-        has others, or other shapes.
+        None without any. The template's leaves are arrays or `jax.ShapeDtypeStruct`s. A damaged checkpoint is
+        named on stderr. Raises ValueError where all are damaged, and where the newest whole one has leaves of
+        other names or shapes.
         """
-        step = self.latest_step
-        if step is None:
-            return None
-        host = jax.tree.map(lambda x: np.empty(x.shape, x.dtype), template)
-        try:
-            state = self._manager.restore(step, args=ocp.args.StandardRestore(host))
-        except (ValueError, KeyError, TypeError) as error:  # Orbax's message lists both trees
-            raise self._misfit(step, "its parameters have other names") from error
-        # Orbax takes the shape on disk where the template's differs.
-        for (path, leaf), wanted in zip(jax.tree.leaves_with_path(state), jax.tree.leaves(host), strict=True):
-            if leaf.shape != wanted.shape:
-                place = jax.tree_util.keystr(path)
-                raise self._misfit(step, f"{place} has shape {leaf.shape}, not {wanted.shape}")
-        return step, state
+        found, faults = self._found(), []
+        for step in sorted(found, reverse=True):
+            try:
+                tensors = _read(found[step], step, template)
+            except ValueError as fault:
+                faults.append(f"{found[step]} is damaged ({fault})")
+                continue
+            for fault in faults:
+                print(f"{fault}; it goes on from step {step}, the checkpoint before", file=sys.stderr)
+            return step, _shaped(tensors, template, found[step])
+        if faults:
+            raise ValueError(f"{faults[0]}, and none is before it; restore it, or train under another --name")
+        return None
 
-    def wait(self) -> None:
-        """Block until the last save is on disk."""
-        self._manager.wait_until_finished()
+    def _found(self) -> dict[int, Path]:
+        """The checkpoints by their step; an empty folder is none."""
+        folders = [path for path in self.folder.glob("*") if path.is_dir() and any(path.iterdir())]
+        return {int(path.name): path for path in folders if path.name.isascii() and path.name.isdecimal()}
 
-    def _misfit(self, step: int, fault: str) -> ValueError:
-        return ValueError(
-            f"{self.folder / str(step)} does not fit this network ({fault}); use the version of flx that "
-            "made it, or train under another --name"
+
+def _named(state: Any) -> Tensors:
+    """The leaves by the names of their places."""
+    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in jax.tree.leaves_with_path(state)}
+
+
+def _shaped(tensors: Tensors, template: Any, path: Path) -> Any:
+    """The state; ValueError where its leaves have other names, shapes or types than the template's."""
+    leaves = jax.tree.leaves_with_path(template)
+    wanted = {jax.tree_util.keystr(place): (leaf.shape, leaf.dtype) for place, leaf in leaves}
+    there = {name: (leaf.shape, leaf.dtype) for name, leaf in tensors.items()}
+    fault = ""
+    if there.keys() != wanted.keys():
+        fault = "its parameters have other names"
+    elif odd := next((name for name in wanted if there[name] != wanted[name]), ""):
+        (shape, kind), (ours, our_kind) = there[odd], wanted[odd]
+        fault = (
+            f"{odd} has shape {shape}, not {ours}" if shape != ours else f"{odd} is {kind}, not {our_kind}"
         )
+    if fault:
+        raise ValueError(
+            f"{path} does not fit this network ({fault}); use the version of flx that made it, or train "
+            "under another --name"
+        )
+    return jax.tree.unflatten(jax.tree.structure(template), [tensors[name] for name in wanted])
+
+
+def _read(path: Path, step: int, template: Any) -> Tensors:
+    """Raises ValueError, with a reason in one line, for a damaged checkpoint."""
+    try:
+        with ocp.StandardCheckpointer() as reader:
+            if not (path / DIGEST).exists():  # an earlier version saved the state as a tree
+                host = jax.tree.map(lambda x: np.empty(x.shape, x.dtype), template)
+                return _named(reader.restore((path / STATE).absolute(), host))
+            there: Any = reader.metadata((path / STATE).absolute()).item_metadata
+            host = {name: np.empty(leaf.shape, leaf.dtype) for name, leaf in there.tree.items()}
+            tensors: Tensors = reader.restore((path / STATE).absolute(), host)
+        if (path / DIGEST).read_text() != content_digest(tensors, str(step)):
+            raise ValueError("its content is not what was written")
+    except Exception as error:  # Orbax may raise anything
+        raise ValueError(one_line(error)) from None
+    return tensors

@@ -101,8 +101,7 @@ def load_copies(
     The first copy is also returned as it is: the generator samples on it.
     """
     cache = open_cache(run.prepared, asset, surface, codec)
-    prepare(cache, asset, surface, codec, workers)
-    copies = [cache.load(surface.seed + k) for k in range(surface.copies)]
+    copies = prepare(cache, asset, surface, codec, workers)
     latents = [copy.latents for copy in copies]
     scaling = latent_scaling(np.concatenate(latents), codec.config.invariants)
     if emphasis:

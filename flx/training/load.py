@@ -1,5 +1,6 @@
 """From a path to a generator; where its file is there, neither optimiser nor checkpoints are imported."""
 
+import sys
 from pathlib import Path
 
 from flx.config import FLDMExperiment
@@ -29,7 +30,12 @@ def load_generator(path: str | Path) -> Generator:
     if not isinstance(experiment, FLDMExperiment):
         raise ValueError(f"{path} is the run of an FL-VAE; sample one of `flx train experiments/demo.py`")
     if run.generator.exists():
-        return read_generator(run.generator)
+        try:
+            return read_generator(run.generator)
+        except ValueError as fault:
+            if not run.checkpoints.exists():
+                raise
+            print(f"{fault}; it is made again from the newest checkpoint", file=sys.stderr)
     from flx.training.fldm import generator_of_checkpoint
 
     return generator_of_checkpoint(run, experiment)

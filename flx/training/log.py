@@ -8,11 +8,13 @@ from pathlib import Path
 
 import jax
 from jax import Array
-from tensorboardX import SummaryWriter
+from tensorboardX.event_file_writer import EventsWriter
+from tensorboardX.proto.event_pb2 import Event, SessionLog  # pyright: ignore[reportAttributeAccessIssue]
+from tensorboardX.summary import scalar
 from tqdm import tqdm
 
 from flx.config import Train
-from flx.files import write_atomically
+from flx.files import naming_a_full_disk, write_atomically
 from flx.training.checkpoint import Checkpoints
 from flx.training.run import Run
 
@@ -30,14 +32,20 @@ class Log:
         self._columns = _drop_rows_after(run.metrics, done)
         self._rows: list[dict[str, float]] = []  # the steps since the last row on disk
         self._step = done
-        self._events = SummaryWriter(str(run.events), purge_step=done + 1)
+        run.events.mkdir(parents=True, exist_ok=True)
+        # Not SummaryWriter, whose thread and queue end in tracebacks on a full disk.
+        self._events = EventsWriter(str(run.events / "events"))
+        self._events.write_event(Event(step=done + 1, file_version="brain.Event:2"))
+        # Hides what a killed training wrote of later steps.
+        self._events.write_event(Event(step=done + 1, session_log=SessionLog(status=SessionLog.START)))
         quiet = not sys.stderr.isatty()
         self._bar = tqdm(total=config.steps, initial=done, unit="step", dynamic_ncols=True, disable=quiet)
         self._began = self._row_began = self._spoke = time.monotonic()
 
     def close(self) -> None:
         self._bar.close()
-        self._events.close()
+        with naming_a_full_disk(self._run.events):
+            self._events.close()
 
     def add(self, step: int, scalars: dict[str, Array]) -> None:
         """Take the scalars of a step, waiting for it; raise FloatingPointError where one is not finite."""
@@ -58,9 +66,13 @@ class Log:
         now = time.monotonic()
         means = {name: sum(row[name] for row in self._rows) / len(self._rows) for name in self._rows[0]}
         means["seconds"] = (now - self._row_began) / len(self._rows)  # per step, with the wait for batches
-        for name, mean in means.items():
-            self._events.add_scalar(name, mean, self._step)
-        with open(self._run.metrics, "a", newline="") as file:
+        with naming_a_full_disk(self._run.events):
+            for name, mean in means.items():
+                event = Event(wall_time=time.time(), step=self._step, summary=scalar(name, mean))
+                self._events.write_event(event)
+            self._events.flush()
+        path = self._run.metrics
+        with naming_a_full_disk(path), open(path, "a", newline="") as file:
             columns = self._columns or ["step", *means]
             rows = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
             if not self._columns:

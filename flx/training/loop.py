@@ -53,8 +53,7 @@ def restore(run: Run, config: Train, init_params: Any) -> TrainState:
     Raises ValueError where the run has no checkpoint, or one of another network.
     """
     template = jax.eval_shape(lambda params: initial_state(config, params), init_params)
-    with Checkpoints(run.checkpoints) as checkpoints:
-        restored = checkpoints.restore_latest(template)
+    restored = Checkpoints(run.checkpoints).restore_latest(template)
     if restored is None:
         raise ValueError(f"{run.folder} has no checkpoint yet; train it first with `flx train`")
     return restored[1]
@@ -102,7 +101,8 @@ def train(
     Raises FloatingPointError at the first step with a number that is not finite (the checkpoint before it
     stays), and ValueError where another process trains here.
     """
-    with only_trainer(run), Checkpoints(run.checkpoints, writer=True) as checkpoints:
+    with only_trainer(run):
+        checkpoints = Checkpoints(run.checkpoints)
         state = initial_state(config, init_params)
         if restored := checkpoints.restore_latest(state):
             state = jax.device_put(restored[1])
@@ -134,7 +134,6 @@ def train(
                         break
                     batch = next(feed)
         if stop.signal is not None and done < config.steps:
-            checkpoints.wait()
             say(f"{run.folder}: stopped, saved at step {done}; the same command goes on from there")
             raise SystemExit(128 + stop.signal)
         return state

@@ -1,9 +1,9 @@
 """Run folders: `runs/<config name>` holds all that one training made, and nothing of another.
 
 `config.json` records every field of the experiment and the fingerprint of its asset. A folder is reopened
-only by the same experiment on the same asset; any other is refused. Three fields may change between calls
-(`STEERING`). Of these, `train.steps` is also the length of the cosine schedule: a resumed run takes its
-remaining steps at the learning rates of the new length.
+only by the same experiment on the same asset; any other is refused. Some fields may change between calls
+(`STEERING`), and the files of the asset may have been moved. `train.steps` is also the length of the cosine
+schedule: a resumed run takes its remaining steps at the learning rates of the new length.
 Files appear whole or not at all, so that a kill at any moment leaves a folder that the next call can use.
 """
 
@@ -22,7 +22,16 @@ from flx import __version__
 from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, from_json
 from flx.files import write_atomically
 
-STEERING = ("train.steps", "train.log_every", "train.checkpoint_every")  # may change between calls
+# What each field that may change between calls does to the training; "" for nothing.
+STEERING = {
+    "train.steps": "its cosine schedule now has that length",
+    "train.batch": "it goes on with that batch",
+    "surface.copies": "it goes on with that many",  # only more: the seeds of the first ones stay the same
+    "surface.up": "",
+    "train.log_every": "",
+    "train.checkpoint_every": "",
+}
+PLACES = ("surface.path", "surface.texture", "weights", "images.folder")  # the fingerprint says what is there
 OPEN = ("model.latents", "model.invariants", "model.blocks")  # left open by records without a version
 _KINDS = {kind.__name__: kind for kind in (FLVAEExperiment, FLDMExperiment)}
 
@@ -46,20 +55,21 @@ class Run:
 def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
     """Create the folder `root/<experiment.name>`, or reopen it for the same experiment and asset.
 
-    Raises ValueError if the name is not a folder name, or the folder belongs to another experiment or asset.
+    Raises ValueError if the name is not a folder name, if the folder belongs to another experiment or asset,
+    and if there is a link in it.
     """
     name = experiment.name
     if Path(name).name != name or name in ("", ".."):
         raise ValueError(f"{name!r} is not a folder name; give the run a name without slashes with --name")
     run = Run(Path(root) / name)
+    _refuse_links(run.folder)
     record = {"flx": __version__, "kind": type(experiment).__name__, "fingerprint": fingerprint}
     record |= {"config": json.loads(json.dumps(asdict(experiment)))}  # as it reads back: tuples are lists
     if run.config.exists():
         _refuse_another(run, _read(run.config), record)
     elif strangers := _visible(run.folder):
         raise ValueError(
-            f"{run.folder} has no config.json but holds {strangers[0]}; give the run another name with "
-            f"--name, or delete {run.folder}"
+            f"{run.folder} has no config.json but holds {strangers[0]}; give the run another name with --name"
         )
     write_atomically(run.config, (json.dumps(record, indent=2) + "\n").encode())
     return run
@@ -68,9 +78,11 @@ def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
 def load_config(folder: str | Path) -> Experiment:
     """The experiment that `folder/config.json` records; nothing in the file is executed.
 
-    Raises ValueError where there is no such file, or a field is unknown, missing or of another type.
+    Raises ValueError where there is no such file, where a field is unknown, missing or of another type, and
+    where a link is in the folder.
     """
     path = Run(Path(folder)).config
+    _refuse_links(path.parent)
     if not path.exists():
         raise ValueError(f"{folder} is not a run: it has no config.json; give a folder that `flx train` made")
     record = _read(path)
@@ -108,25 +120,41 @@ def kept(run: Run) -> str:
     return f"{run.folder}: {saved}; the same command goes on from there"
 
 
+def _refuse_links(folder: Path) -> None:
+    """Raise ValueError where there is a link in a run's folder, which may be a stranger's: what is written or
+    cleared through it lies elsewhere."""
+    for place, folders, files in os.walk(folder):
+        for path in (Path(place, name) for name in (*folders, *files)):
+            if path.is_symlink():
+                raise ValueError(f"{path} is a link; put what it leads to in its place, or train another run")
+
+
 def _refuse_another(run: Run, old: dict[str, Any], new: dict[str, Any]) -> None:
     """Raise ValueError where the recorded run is another one than the new record describes."""
     changed = [d for d in _differences(old["config"], new["config"]) if d[0] != "name"]
     if "flx" not in old:  # an earlier version, which did not record what was left open
         changed = [d for d in changed if not (d[0] in OPEN and d[1] is None)]
-    faults = [f"{place} = {was}, not {now}" for place, was, now in changed if place not in STEERING]
+    moved = old["fingerprint"] == new["fingerprint"]
+    faults = [f"{p} = {was}, not {now}" for p, was, now in changed if not _is_harmless(p, was, now, moved)]
     if old["kind"] != new["kind"]:
         faults = [f"an {old['kind']}, not an {new['kind']}"]
     elif old["fingerprint"] != new["fingerprint"]:
-        faults.append(f"another asset (fingerprint {old['fingerprint']}, not {new['fingerprint']})")
+        faults.append(f"another asset (fingerprint {old['fingerprint'][:12]}, not {new['fingerprint'][:12]})")
     if faults:
         raise ValueError(
-            f"{run.folder} was made with {', '.join(faults)}; give it another name with --name, "
-            f"or delete {run.folder}"
+            f"{run.folder} was made with {', '.join(faults)}; give the new run another name with --name"
         )
     for place, was, now in changed:
-        if place == "train.steps":
-            message = f"{run.folder}: train.steps {was} → {now}; its cosine schedule now has that length"
-            print(message, file=sys.stderr)
+        if effect := STEERING.get(place):
+            print(f"{run.folder}: {place} {was} → {now}; {effect}", file=sys.stderr)
+
+
+def _is_harmless(place: str, was: Any, now: Any, moved: bool) -> bool:
+    """Whether a run may go on with another value; `moved`: what it learns from is the same, if elsewhere."""
+    if place in PLACES:
+        # The run's copy of the mesh is found by the mesh's name.
+        return moved and (not place.startswith("surface") or Path(was or "").name == Path(now or "").name)
+    return place in STEERING and (place != "surface.copies" or now > was)
 
 
 def _differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -149,7 +177,7 @@ def _read(path: Path) -> dict[str, Any]:
         if "flx" not in record and record["kind"] == "FLDMExperiment":
             record["config"]["model"] |= {"latents": None, "invariants": None}  # they were not the codec's
     except (ValueError, KeyError, TypeError) as error:
-        message = f"{path} does not record a run ({error}); delete {path.parent} and train it again"
+        message = f"{path} does not record a run ({error}); restore it, or train under another --name"
         raise ValueError(message) from None
     return record
 

@@ -7,6 +7,7 @@ import pytest
 from flx.commands import train
 from flx.commands.train import learn
 from flx.config import FLVAE, FLDMExperiment, FLVAEExperiment
+from flx.launch import parse
 from flx.training.run import Run
 
 
@@ -20,3 +21,22 @@ def test_the_next_command_is_told_as_a_shell_takes_it(monkeypatch, capsys):
     monkeypatch.setattr(train, "learn", lambda experiment, workers: Run(Path("runs/my vase")))
     train._run(FLDMExperiment())
     assert "; flx sample 'runs/my vase' makes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["bowl.glb"], "bowl"),
+        (["experiments/demo.py"], "demo"),
+        (["experiments/demo.py", "--surface.path", "x/bowl.glb"], "bowl"),
+        (["experiments/demo.py", "--surface.path=x/bowl.glb", "--name=demo"], "demo"),
+        (["experiments/bowl.py", "--surface.path", "x/akita_black_bowl.obj"], "bowl"),
+        (["experiments/bowl.py", "--surface.path", ""], "vase"),
+        (["experiments/flvae.py"], "flvae"),
+    ],
+)
+def test_a_run_is_named_after_the_mesh_that_it_learns(monkeypatch, words, name):
+    learnt = []
+    monkeypatch.setattr(train, "_run", learnt.append)
+    parse(["train", *words])()
+    assert [experiment.name for experiment in learnt] == [name]

@@ -4,9 +4,12 @@ import jax
 import numpy as np
 import pytest
 from helpers.codecs import FRAME, TINY, alone, each_config, encode, rings, trained_a_little
+from safetensors import safe_open
+from safetensors.numpy import save
 
 from flx.fields.diffusion import Scaling
-from flx.pipeline.codec import Codec, load_codec, save_codec
+from flx.pipeline.codec import BARYCENTRIC, RELEASED, Codec, load_codec, save_codec
+from flx.pipeline.tensors import load_tensors
 
 
 @pytest.mark.slow
@@ -37,18 +40,31 @@ def test_weights_come_back_as_they_were_saved(tmp_path):
     np.testing.assert_array_equal(back.encode(r), Codec(FRAME, params).encode(r))
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "cut", "foreign"])
+@pytest.mark.parametrize("damage", ["missing", "empty", "cut", "foreign", "flipped"])
 def test_damaged_weights_are_refused_in_one_line(tmp_path, damage):
     path = tmp_path / "w.safetensors"
     save_codec(path, Codec(TINY, {"params": {"kernel": np.ones((9, 9), np.float32)}}), {})
     content = path.read_bytes()
+    flipped = content[:-7] + bytes([content[-7] ^ 1]) + content[-6:]
     if damage == "missing":
         path.unlink()
     else:
-        path.write_bytes({"empty": b"", "cut": content[:-100], "foreign": b"x" * 1000}[damage])
+        path.write_bytes(
+            {"empty": b"", "cut": content[:-100], "foreign": b"x" * 1000, "flipped": flipped}[damage]
+        )
     with pytest.raises(ValueError, match="holds no FL-VAE weights") as caught:
         load_codec(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("path", [RELEASED, BARYCENTRIC])
+def test_released_weights_carry_a_digest_and_those_of_earlier_versions_need_none(tmp_path, path):
+    with safe_open(path, "numpy") as file:
+        entry = file.metadata()["flvae"]
+    assert len(entry.partition(" ")[0]) == 64
+    text, tensors = load_tensors(path, "flvae")
+    (tmp_path / "old.safetensors").write_bytes(save(tensors, {"flvae": text}))
+    assert load_codec(tmp_path / "old.safetensors").digest() == load_codec(path).digest()
 
 
 @pytest.mark.slow

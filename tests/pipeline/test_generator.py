@@ -13,7 +13,6 @@ from helpers.surfaces import icosphere
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors import safe_open
-from safetensors.numpy import save
 
 from flx.config import FLDM
 from flx.fields.algebra import tangent_noise
@@ -23,10 +22,10 @@ from flx.pipeline.codec import load_codec
 from flx.pipeline.generator import (
     Generator,
     Home,
-    _digest,
     read_generator,
     save_generator,
 )
+from flx.pipeline.tensors import save_tensors
 
 pytestmark = pytest.mark.slow
 
@@ -147,7 +146,7 @@ def test_a_network_of_another_version_is_refused(file, tmp_path, part, last):
     other = tmp_path / "generator.safetensors"
 
     def read(tensors: dict[str, np.ndarray]) -> Generator:
-        other.write_bytes(save(tensors, {"generator": f"{_digest(tensors, text)} {text}"}))
+        save_tensors(other, tensors, "generator", text)
         return read_generator(other)
 
     assert read(tensors).step == 7

@@ -4,11 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.files import png, png_bomb
 from PIL import Image
 
 from flx.config import FLVAE, Images
 from flx.pipeline import patches as patching
-from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, Placement
+from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, Placement, load_images
 
 CONFIG, MODEL = Images(queries=2), FLVAE(samples=16)
 
@@ -174,3 +175,32 @@ def test_half_of_the_patches_are_painted_anew_and_within_range():
 def test_a_folder_without_images_is_refused(tmp_path):
     with pytest.raises(ValueError, match="holds no images"):
         ImagePatches(Images(folder=str(tmp_path)), FLVAE(), 4)
+
+
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(x) run\nshowpage\n%%EOF\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (POSTSCRIPT, "photo.png' is of no known kind"),
+        (png_bomb(20_000, 20_000), "photo.png' has more than"),
+        (png()[:-40], "photo.png' is broken"),
+        (b"", "photo.png' is of no known kind"),
+    ],
+)
+def test_an_image_of_the_folder_is_decoded_as_safely_as_a_texture(tmp_path, monkeypatch, content, told):
+    """A PostScript file, whatever it is called, would start Ghostscript."""
+    (tmp_path / "gs").write_text(f"#!/bin/sh\ntouch {tmp_path}/started\n")
+    (tmp_path / "gs").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (tmp_path / "photo.png").write_bytes(content)
+    with pytest.raises(ValueError, match=told) as refusal:
+        load_images(tmp_path)
+    assert "\n" not in str(refusal.value) and not (tmp_path / "started").exists()
+
+
+def test_images_with_alpha_or_of_one_channel_are_read_as_their_colours(tmp_path):
+    for name, mode, color in (("a", "RGBA", (10, 20, 30, 77)), ("b", "L", 9), ("c", "I;16", 257 * 40)):
+        Image.new(mode, (512, 512), color).save(tmp_path / f"{name}.png")
+    assert load_images(tmp_path)[:, 0, 0].tolist() == [[10, 20, 30], [9, 9, 9], [40, 40, 40]]

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 from typing import Any, NamedTuple
 
 import jax
@@ -36,11 +37,10 @@ def assert_same(a: Any, b: Any):
 
 
 def test_the_newest_state_comes_back_bit_for_bit_on_the_host(tmp_path):
-    with Checkpoints(tmp_path, writer=True) as checkpoints:
-        for step in (1, 5, 9):
-            checkpoints.save(step, state_of(step))
-    with Checkpoints(tmp_path) as checkpoints:
-        restored = checkpoints.restore_latest(jax.eval_shape(lambda: state_of(0)))
+    checkpoints = Checkpoints(tmp_path)
+    for step in (1, 5, 9):
+        checkpoints.save(step, state_of(step))
+    restored = Checkpoints(tmp_path).restore_latest(jax.eval_shape(lambda: state_of(0)))
     assert restored is not None
     step, state = restored
     assert step == 9 and all(isinstance(x, np.ndarray) for x in jax.tree.leaves(state))
@@ -49,46 +49,90 @@ def test_the_newest_state_comes_back_bit_for_bit_on_the_host(tmp_path):
 
 
 def test_the_two_newest_are_kept(tmp_path):
-    with Checkpoints(tmp_path, writer=True) as checkpoints:
-        for step in (1, 2, 3):
-            checkpoints.save(step, state_of(step))
+    checkpoints = Checkpoints(tmp_path)
+    for step in (1, 2, 3):
+        checkpoints.save(step, state_of(step))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["2", "3"]
 
 
 def test_a_saved_state_may_be_donated_at_once(tmp_path):
     overwrite = jax.jit(lambda s: jax.tree.map(lambda x: x * 0 - 1, s), donate_argnums=0)
     big = {"w": jnp.arange(3_000_000, dtype=jnp.float32)}
-    with Checkpoints(tmp_path, writer=True) as checkpoints:
-        checkpoints.save(1, big)
-        jax.block_until_ready(overwrite(big))
-        assert big["w"].is_deleted()
-        restored = checkpoints.restore_latest({"w": jax.ShapeDtypeStruct((3_000_000,), jnp.float32)})
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(1, big)
+    jax.block_until_ready(overwrite(big))
+    assert big["w"].is_deleted()
+    restored = checkpoints.restore_latest({"w": jax.ShapeDtypeStruct((3_000_000,), jnp.float32)})
     assert restored is not None
     np.testing.assert_array_equal(restored[1]["w"], np.arange(3_000_000, dtype=np.float32))
 
 
 def test_no_checkpoint_is_none_and_a_reader_makes_nothing(tmp_path):
-    with Checkpoints(tmp_path / "none") as checkpoints:
-        assert checkpoints.restore_latest(state_of(0)) is None and checkpoints.latest_step is None
+    checkpoints = Checkpoints(tmp_path / "none")
+    assert checkpoints.restore_latest(state_of(0)) is None and checkpoints.latest_step is None
     assert not (tmp_path / "none").exists()
-    with Checkpoints(tmp_path / "new", writer=True) as checkpoints:
-        assert checkpoints.restore_latest(state_of(0)) is None
 
 
-def test_torn_saves_are_ignored_by_readers_and_cleared_by_the_writer(tmp_path):
-    with Checkpoints(tmp_path, writer=True) as checkpoints:
-        checkpoints.save(4, state_of(4))
-    torn = tmp_path / "6.orbax-checkpoint-tmp"
-    torn.mkdir()
-    (torn / "default").write_bytes(b"half")
-    with Checkpoints(tmp_path) as checkpoints:
-        restored = checkpoints.restore_latest(state_of(0))
-        assert restored is not None and restored[0] == 4
-    assert torn.exists()
-    with Checkpoints(tmp_path, writer=True) as checkpoints:
-        assert checkpoints.latest_step == 4
-        checkpoints.save(8, state_of(8))
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["4", "8"]
+def flipped(content: bytes) -> bytes:
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+@pytest.mark.parametrize("damage", [flipped, lambda c: c[: len(c) // 2], lambda c: b""])
+def test_the_checkpoint_before_a_damaged_one_is_restored_and_said(tmp_path, capsys, damage):
+    checkpoints = Checkpoints(tmp_path)
+    for step in (30, 40):
+        checkpoints.save(step, state_of(step))
+    (tmp_path / "45").mkdir()  # empty
+    (tmp_path / "50").write_bytes(b"")  # a file is none
+    path = tmp_path / "40"
+    for file in [file for file in (path / "default" / "d").rglob("*") if file.is_file()]:  # the numbers
+        file.write_bytes(damage(file.read_bytes()))
+    restored = checkpoints.restore_latest(state_of(0))
+    assert restored is not None and restored[0] == 30
+    assert_same(restored[1], state_of(30))
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and f"{path} is damaged (" in said and "goes on from step 30" in said
+    checkpoints.save(35, state_of(35))  # the damaged one was ahead, and will never be the newest again
+    assert sorted(p.name for p in tmp_path.iterdir() if p.is_dir()) == ["30", "35", "45"]
+
+
+def test_where_all_are_damaged_that_is_the_reason_given(tmp_path):
+    for step in (30, 40):
+        Checkpoints(tmp_path).save(step, state_of(step))
+        (tmp_path / f"{step}" / "digest").write_text("another")
+    with pytest.raises(ValueError, match=r"40 is damaged .*, and none is before it") as error:
+        Checkpoints(tmp_path).restore_latest(state_of(0))
+    assert "\n" not in str(error.value) and "network" not in str(error.value)
+
+
+@pytest.mark.slow
+def test_checkpoints_of_earlier_versions_are_read_and_damage_among_them_is_passed_over(tmp_path, capfd):
+    """They have no digest; the newest loses each of its files in turn."""
+    import orbax.checkpoint as ocp
+
+    with ocp.CheckpointManager(tmp_path, options=ocp.CheckpointManagerOptions(max_to_keep=2)) as manager:
+        for step in (1, 2):
+            manager.save(step, args=ocp.args.StandardSave(jax.device_get(state_of(step))))
+    template = jax.eval_shape(lambda: state_of(0))
+    step, state = Checkpoints(tmp_path).restore_latest(template) or (0, None)
+    assert step == 2
+    assert_same(state, state_of(2))
+    capfd.readouterr()
+    fell_back = 0
+    for path in [path for path in (tmp_path / "2").rglob("*") if path.is_file()]:
+        content = path.read_bytes()
+        for damaged in (b"", content[: len(content) // 2]):
+            path.write_bytes(damaged)
+            step, state = Checkpoints(tmp_path).restore_latest(template) or (0, None)
+            said = capfd.readouterr().err
+            assert_same(state, state_of(step))
+            assert said.count("\n") == (step == 1) and "network" not in said
+            fell_back += step == 1
+        path.write_bytes(content)
+    assert fell_back >= 5
+    Checkpoints(tmp_path).save(3, state_of(3))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["2", "3"]
 
 
 @pytest.mark.parametrize(
@@ -100,32 +144,33 @@ def test_torn_saves_are_ignored_by_readers_and_cleared_by_the_writer(tmp_path):
         ),
         ({"v": np.ones((5, 3), np.float32)}, "have other names"),
         (state_of(1).params | {"size": np.ones(3, np.float32)}, "have other names"),
+        ({"w": np.ones((5, 3)), "b": [np.ones(3, jnp.bfloat16)]}, r"\['w'\] is float32, not float64"),
     ],
 )
 def test_another_network_is_refused(tmp_path, params, told):
-    with Checkpoints(tmp_path, writer=True) as checkpoints:
-        checkpoints.save(1, state_of(1))
-        with pytest.raises(ValueError, match=told) as error:
-            checkpoints.restore_latest(state_of(1)._replace(params=params))
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(1, state_of(1))
+    with pytest.raises(ValueError, match=told) as error:
+        checkpoints.restore_latest(state_of(1)._replace(params=params))
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.slow
-def test_a_kill_during_a_save_leaves_the_one_before(tmp_path):
-    """Save step 1, begin step 2 with 200 MB, kill -9 as soon as its torn folder is there."""
+def test_a_kill_during_a_save_leaves_the_one_before_and_its_rest_is_cleared(tmp_path):
+    """Save step 1, begin step 2 with 200 MB, kill -9 as soon as its torn file is there."""
     save = (
         "import sys; from pathlib import Path; import numpy as np\n"
         "from flx.training.checkpoint import Checkpoints\n"
-        "c = Checkpoints(Path(sys.argv[1]), writer=True)\n"
-        "state = {'w': np.random.default_rng(0).random(25_000_000)}\n"
-        "state1 = {'w': np.ones(25_000_000)}\n"
-        "c.save(1, state1); c.wait(); c.save(2, state); print('saving', flush=True); c.wait(); print('saved')"
+        "c = Checkpoints(Path(sys.argv[1]))\n"
+        "c.save(1, {'w': np.ones(25_000_000)}); c.save(2, {'w': np.random.default_rng(0).random(25_000_000)})"
     )
-    child = subprocess.Popen([sys.executable, "-c", save, str(tmp_path)], stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None and child.stdout.readline() == "saving\n"
+    child = subprocess.Popen([sys.executable, "-c", save, str(tmp_path)])
+    while child.poll() is None and not list(tmp_path.glob(".flx-*.2")):
+        time.sleep(0.001)
     child.kill()
-    assert child.wait() == -signal.SIGKILL and child.stdout.read() == ""
-    child.stdout.close()
-    with Checkpoints(tmp_path, writer=True) as checkpoints:
-        restored = checkpoints.restore_latest({"w": jax.ShapeDtypeStruct((25_000_000,), np.float64)})
+    assert child.wait() == -signal.SIGKILL and list(tmp_path.glob(".flx-*"))
+    checkpoints = Checkpoints(tmp_path)
+    restored = checkpoints.restore_latest({"w": jax.ShapeDtypeStruct((25_000_000,), np.float64)})
     assert restored is not None and restored[0] == 1 and (restored[1]["w"] == 1).all()
+    checkpoints.save(4, {"w": np.ones(1)})
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["1", "4"]

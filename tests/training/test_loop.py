@@ -100,7 +100,7 @@ def test_a_killed_run_is_the_uninterrupted_one(tmp_path, uninterrupted):
     command = [sys.executable, "-c", slow, str(run.folder)]  # -c: modules are looked for where it starts
     child = subprocess.Popen(command, cwd=Path(__file__).parents[1], stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
-    while not (run.checkpoints / "10").exists():
+    while not (run.checkpoints / "10.safetensors").exists():
         assert child.poll() is None and time.monotonic() < deadline
         time.sleep(0.02)
     child.kill()
@@ -125,8 +125,7 @@ def test_a_stopped_run_saves_and_goes_on(tmp_path, uninterrupted, number, status
     with pytest.raises(SystemExit) as stopped:
         train(run, config, INIT, loss_fn, stopping)
     assert stopped.value.code == status and signal.getsignal(number) is usual
-    with Checkpoints(run.checkpoints) as checkpoints:
-        at = checkpoints.latest_step
+    at = Checkpoints(run.checkpoints).latest_step
     assert at is not None and 5 <= at < 12 and f"saved at step {at};" in capsys.readouterr().err
     assert_same_bits(train(run, config, INIT, loss_fn, batches), uninterrupted[1])
     assert [row["step"] for row in rows_of(run)] == list(range(1, 13))

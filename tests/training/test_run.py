@@ -54,9 +54,9 @@ def test_the_same_experiment_reopens_its_run(tmp_path):
 
 def test_another_asset_is_refused(tmp_path):
     open_run(tmp_path, demo, "ab12")
-    with pytest.raises(ValueError, match=r"another asset .*ab12, not cd34.*--name.*delete") as error:
+    with pytest.raises(ValueError, match=r"another asset .*ab12, not cd34.*--name") as error:
         open_run(tmp_path, demo, "cd34")
-    assert "\n" not in str(error.value)
+    assert "\n" not in str(error.value) and "delete" not in str(error.value)
     assert fingerprint_of(tmp_path / "demo") == "ab12"
 
 
@@ -66,7 +66,10 @@ def test_another_asset_is_refused(tmp_path):
         (dict(model=FLDM(blocks=(1, 1, 2), channels=64)), "model.channels = 96, not 64"),
         (dict(model=FLDM(blocks=(1, 1, 1))), r"model.blocks = \[1, 1, 2\], not \[1, 1, 1\]"),
         (dict(surface=Surface(seed=1)), "surface.seed = 0, not 1"),
-        (dict(train=Train(seed=3, batch=2)), "train.batch = 16, not 2, train.seed = 0, not 3"),
+        (dict(train=Train(seed=3, clip=2.0)), "train.clip = 0.0, not 2.0, train.seed = 0, not 3"),
+        (dict(surface=Surface(copies=499)), "surface.copies = 500, not 499"),
+        (dict(surface=Surface(path="b.glb")), "surface.path = , not b.glb"),
+        (dict(surface=Surface(texture="b.png")), "surface.texture = None, not b.png"),
     ],
 )
 def test_another_experiment_is_refused_and_told_what_differs(tmp_path, change, told):
@@ -90,6 +93,21 @@ def test_length_and_rhythm_may_change_and_the_config_says_the_latest(tmp_path, c
     open_run(tmp_path, longer, "ab12")
     assert load_config(tmp_path / "demo") == longer
     assert "train.steps 300000 → 7; its cosine schedule" in capsys.readouterr().err
+
+
+def test_harmless_changes_are_taken_and_said_where_they_count(tmp_path, capsys):
+    bowl = Surface(path="a/bowl.glb", texture="a/red.png", copies=2)
+    first = dataclasses.replace(demo, surface=bowl, weights="w.safetensors")
+    open_run(tmp_path, first, "ab12")
+    moved = dataclasses.replace(bowl, path="/b/bowl.glb", texture="red.png", up="z", copies=4)
+    second = dataclasses.replace(first, surface=moved, weights="/b/w2.safetensors", train=Train(batch=32))
+    assert load_config(open_run(tmp_path, second, "ab12").folder) == second
+    told = capsys.readouterr().err.splitlines()
+    assert [line.split(": ")[1].split(" ")[0] for line in told] == ["surface.copies", "train.batch"]
+    with pytest.raises(ValueError, match=r"surface.path = /b/bowl.glb, not a/bowl.glb.*another asset"):
+        open_run(
+            tmp_path, dataclasses.replace(second, surface=dataclasses.replace(moved, path="a/bowl.glb")), "cd"
+        )
 
 
 def test_a_renamed_folder_is_the_same_run(tmp_path):
@@ -177,3 +195,27 @@ def test_a_second_trainer_is_refused_and_a_killed_one_is_not_in_the_way(tmp_path
         other.kill()
     with only_trainer(run), pytest.raises(ValueError, match="is being trained"), only_trainer(run):
         pass
+
+
+@pytest.mark.parametrize("place", [".lock", "checkpoints", "asset/files", "events/x", "samples", "loop"])
+def test_a_link_in_a_run_is_refused_before_it_is_followed(tmp_path, place):
+    """A linked lock would be emptied; in a linked folder of checkpoints the older ones would be deleted."""
+    run = open_run(tmp_path, demo, "ab12")
+    (victim := tmp_path / "victim").mkdir()
+    (victim / "1.safetensors").write_text("mine")
+    link = run.folder / place
+    link.parent.mkdir(parents=True, exist_ok=True)
+    target = {".lock": victim / "1.safetensors", "loop": run.folder}.get(place, victim)
+    link.symlink_to(target)
+    for reopens in (lambda: open_run(tmp_path, demo, "ab12"), lambda: load_config(run.folder)):
+        with pytest.raises(ValueError, match=f"{place} is a link; put") as refusal:
+            reopens()
+        assert "\n" not in str(refusal.value)
+    assert (victim / "1.safetensors").read_text() == "mine" and len(list(victim.iterdir())) == 1
+
+
+def test_a_run_may_lie_behind_a_link(tmp_path):
+    open_run(tmp_path / "disk", demo, "ab12")
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "demo").symlink_to(tmp_path / "disk" / "demo")
+    assert load_config(open_run(tmp_path / "runs", demo, "ab12").folder) == demo

@@ -1,0 +1,151 @@
+"""Laws of where verbs write: no call replaces the files of another one, and the same call finds its own."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.files import obj, png
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flx.assets.asset import own_painting
+from flx.assets.read import read_asset
+from flx.commands.output import own_folder, settings
+from flx.commands.reconstruct import Reconstruct, reconstruct
+from flx.commands.sample import Sample, sample
+from flx.config import Controls, Surface
+from flx.types import Triangulation
+
+
+@dataclass(frozen=True)
+class Options:
+    input: Path
+    out: Path | None = None
+    count: int = 4
+    seed: int = 0
+    texture: Path | None = None
+    sizes: tuple[int, ...] = (2, 3)
+
+
+def call(folder: Path, step: int = 100, **options) -> Path:
+    """What a verb does with its folder: find it, and leave a record and a file."""
+    given = Options(Path("in"), **options)
+    wanted = {**settings(given), "step": step}
+    out, _ = own_folder(given, folder / "made", f"step-{step}", "record.json", wanted, ["a.glb"])
+    out.mkdir(exist_ok=True)
+    (out / "record.json").write_text(json.dumps(wanted))
+    (out / "a.glb").write_text(f"{wanted}")
+    return out
+
+
+calls = st.fixed_dictionaries(
+    {"step": st.sampled_from([100, 200])},
+    optional={
+        "seed": st.integers(0, 2),
+        "texture": st.sampled_from([Path("a/b.png"), Path("a-b.png")]),  # alike as words
+        "sizes": st.sampled_from([(2,), (2, 3)]),
+    },
+)
+
+
+@given(st.lists(calls, max_size=9))
+def test_calls_share_a_folder_only_if_they_make_the_same_files(tmp_path_factory, several):
+    folder = tmp_path_factory.mktemp("out")
+    for options in several + several:
+        call(folder, **options)
+    made = [path.read_text() for path in folder.glob("*/a.glb")]
+    distinct = {str({"seed": 0, "texture": None, "sizes": (2, 3), **options}) for options in several}
+    assert len(made) == len(set(made)) == len(distinct)
+
+
+def test_names_say_what_is_not_as_usual(tmp_path):
+    assert call(tmp_path) == call(tmp_path, count=9) == tmp_path / "made"
+    assert call(tmp_path, seed=7).name == "made-seed-7"
+    assert call(tmp_path, seed=7, texture=Path("/x/b c.png")).name == "made-seed-7-texture-x-b-c-png"
+    assert call(tmp_path, step=200).name == "made-step-200"
+    assert call(tmp_path) == tmp_path / "made"
+
+
+def test_files_without_a_record_and_a_broken_record_are_left_alone(tmp_path):
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "a.glb").write_text("mine")
+    assert call(tmp_path).name == "made-step-100"
+    (tmp_path / "made-step-100" / "record.json").write_text("[" * 100_000)
+    assert call(tmp_path).name == "made-step-100-2"
+    assert (tmp_path / "made" / "a.glb").read_text() == "mine"
+
+
+def test_a_folder_that_is_named_is_taken_or_refused_but_never_exchanged(tmp_path):
+    out = tmp_path / "mine"
+    assert call(tmp_path, out=out, seed=7) == call(tmp_path, out=out, seed=7, count=2) == out
+    with pytest.raises(ValueError, match=r"mine holds the files of another call \(seed = 7, not 8\); name"):
+        call(tmp_path, out=out, seed=8)
+    assert list(tmp_path.iterdir()) == [out] and '"seed": 7' in (out / "record.json").read_text()
+
+
+# --- the verbs
+
+
+@pytest.fixture
+def generator(tmp_path, monkeypatch) -> SimpleNamespace:
+    """A stand-in for the generator of any run: its variations are the asset's own colours."""
+    asset = read_asset(obj()(tmp_path))
+    home = SimpleNamespace(triangulation=Triangulation(np.zeros((4, 3)), np.zeros((2, 3), np.int64)))
+    experiment = SimpleNamespace(surface=Surface())
+    schedule = np.linspace(1, 0.1, 101)
+    made = SimpleNamespace(params={}, alphas=schedule, asset=asset, home=home, step=5, experiment=experiment)
+    monkeypatch.setattr("flx.training.load.load_generator", lambda _: made)
+    monkeypatch.setattr("flx.pipeline.variations.generate", lambda g, n, *_: iter([own_painting(asset)] * n))
+    (tmp_path / "run").mkdir()
+    return made
+
+
+def test_samples_of_another_seed_or_step_or_network_go_elsewhere(generator, tmp_path):
+    plain = Sample(tmp_path / "run", count=1)
+    assert sample(plain) == sample(replace(plain, up="z")) == tmp_path / "run" / "samples"
+    assert sample(replace(plain, seed=7)).name == "samples-seed-7"
+    assert sample(replace(plain, sampler="ddim", steps=9)).name == "samples-steps-9-sampler-ddim"
+    assert sample(replace(plain, controls=Controls(strength=0.5))).name == "samples-strength-0-5"
+    generator.step = 9
+    assert sample(plain).name == "samples-step-9"
+    generator.params = {"w": np.ones(3)}
+    assert sample(plain).name == "samples-step-9-2"
+    assert len(list((tmp_path / "run").glob("*/variation_00.glb"))) == 6
+
+
+def test_the_record_of_samples_grows_as_files_appear_and_loses_none(generator, tmp_path, monkeypatch):
+    made, asset, out = [], generator.asset, tmp_path / "run" / "samples"
+
+    def stops(_, count, *rest):
+        for n in range(count):
+            listed = json.loads((out / "samples.json").read_bytes())["files"]
+            made.append((listed, sorted(path.name for path in out.glob("*.glb"))))
+            if n == 2:
+                raise KeyboardInterrupt
+            yield own_painting(asset)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("flx.pipeline.variations.generate", stops)
+        sample(Sample(tmp_path / "run"))
+    assert len(made) == 3 and all(listed == there for listed, there in made) and len(made[2][0]) == 2
+    assert sample(Sample(tmp_path / "run", count=1)) == out  # the other is still there, and listed
+    record = json.loads((out / "samples.json").read_bytes())
+    assert record["files"] == ["variation_00.glb", "variation_01.glb"] and len(record["seam_ratios"]) == 2
+    assert record["seed"] == 0 and record["steps"] == 25 and record["step"] == 5
+
+
+@pytest.mark.slow
+def test_meshes_of_one_name_are_reconstructed_into_folders_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folders, contents = [], []
+    for place, image in (("x", png()), ("y", png(8, 8)), ("x", png())):
+        Path(place).mkdir(exist_ok=True)
+        options = Reconstruct(obj(image=image)(Path(place)), vertices=60, texture_size=16)
+        folders.append(Path(reconstruct(options)["folder"]))
+        contents.append((folders[-1] / "reconstruction.glb").read_bytes())
+    assert folders[0] == folders[2] == Path("runs/a-there-and-back-vertices-60-texture-size-16")
+    assert folders[1] != folders[0] and (folders[0] / "reconstruction.glb").read_bytes() == contents[0]
+    assert contents[1] != contents[0] == contents[2]
