@@ -37,6 +37,6 @@ def test_the_next_command_is_told_as_a_shell_takes_it(monkeypatch, capsys):
 )
 def test_a_run_is_named_after_the_mesh_that_it_learns(monkeypatch, words, name):
     learnt = []
-    monkeypatch.setattr(train, "_run", learnt.append)
+    monkeypatch.setattr(train, "_run", lambda experiment, workers: learnt.append(experiment))
     parse(["train", *words])()
     assert [experiment.name for experiment in learnt] == [name]
