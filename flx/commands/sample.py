@@ -42,9 +42,10 @@ def sample(options: Sample) -> Path:
     from flx.assets.unwrap import prepared_for
     from flx.assets.write import write, write_atlases, write_png
     from flx.files import write_atomically
-    from flx.geometry.seams import seam_ratio
+    from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
     from flx.pipeline.generator import sampler_named
+    from flx.pipeline.inpainting import REPEATS, kept_texels
     from flx.pipeline.variations import generate
     from flx.stopping import keeping
     from flx.training.load import load_generator
@@ -53,8 +54,9 @@ def sample(options: Sample) -> Path:
     if options.count < 1 or options.steps < 1:
         raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
     generator = load_generator(options.run)
-    strength = options.controls.strength
-    chosen = sampler_named(options.sampler, generator.alphas, options.steps, strength)
+    kept = kept_texels(generator.asset, options.controls)
+    rules = (options.controls.strength, REPEATS if kept else None)
+    chosen = sampler_named(options.sampler, generator.alphas, options.steps, *rules)
     out = options.out or (options.run if options.run.is_dir() else options.run.parent) / "samples"
     files = [out / f"variation_{n:02d}.{options.format}" for n in range(options.count)]
     check_output(generator.asset, options.format, files, [out / "contact_sheet.png"])
@@ -63,7 +65,7 @@ def sample(options: Sample) -> Path:
     rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)
     made = generate(generator, *rules, options.controls)
     bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
-    variations, ratios = [], []
+    variations, ratios, borders = [], [], []
     keeping(
         lambda: (
             f"{len(ratios)} of {options.count} variations are in {out}; the same command makes the same again"
@@ -73,6 +75,9 @@ def sample(options: Sample) -> Path:
         write(asset, baked, file)
         write_atlases(asset, baked, file)
         ratios.append(seam_ratio(shown(asset, baked)))
+        if kept:
+            there = kept.at_size(*baked.images[kept.index].shape[:2])
+            borders.append(border_ratio(shown(asset, baked), there.index, there.texels))
         variations = [*variations, baked][:8]  # what the contact sheet shows
     names = [f"variation {n:02d}" for n in range(len(variations))]
     write_png(out / "contact_sheet.png", side_by_side(asset, variations, names, up))
@@ -86,7 +91,8 @@ def sample(options: Sample) -> Path:
         "vertices": len(generator.home.triangulation.vertices),
         "seam_ratios": ratios,
         "seam_ratio_input": seam_ratio(asset.mesh),
+        "border_ratios": borders,
         "files": [file.name for file in files],
     }
-    write_atomically(out / "samples.json", (json.dumps(record, indent=2) + "\n").encode())
+    write_atomically(out / "samples.json", (json.dumps(record, indent=2, default=str) + "\n").encode())
     return out
