@@ -32,8 +32,8 @@ from flx.pipeline.generator import Generator
 from flx.types import SurfacePoints, TexturedMesh, Triangulation
 
 HELD = 0.5  # share of its one-ring that is kept, from which a vertex is held
-REPEATS = (5, 1)  # each five steps are repeated once, for old and new to fit (`flx.fields.samplers.repeated`)
-NEAREST = 32  # kept texels from which a new one takes over what the codec missed
+REPEATS = (5, 1)  # each five steps twice, for old and new to fit; three or five times are no better
+NEAREST = 8  # kept texels from which a new one takes over what the codec missed; 32 would smooth too much
 
 
 class Kept(NamedTuple):
