@@ -142,10 +142,10 @@ def restored(inpainting: Inpainting, canvas: Canvas, painting: Painting) -> Pain
     kept = inpainting.kept.at_size(atlas.height, atlas.width)
     new = images[kept.index].reshape(-1, 3).copy()
 
-    crossed = (inpainting.shares > 0) & (inpainting.shares < 1)  # one-rings that the border crosses
+    crossed: Any = (inpainting.shares > 0) & (inpainting.shares < 1)  # one-rings that the border crosses
     near = np.flatnonzero(crossed[canvas.triangulation.faces].any(1)[canvas.faces])
     texels = atlas.texels[near]
-    old = np.asarray(kept.texels).ravel()[texels]
+    old = kept.texels.ravel()[texels]
     missed = kept.image.reshape(-1, 3)[texels].astype(np.float32) - new[texels]
     if old.any() and not old.all():
         added = _carried(missed[old], *_places(canvas, near, old))
@@ -173,7 +173,8 @@ def _carried(
     values: Float32[Any, "K 3"], at: Float64[Any, "K 6"], to: Float64[Any, "M 6"]
 ) -> Float64[Any, "M 3"]:
     """Values at other places: the mean of the nearest by inverse squares of distances, fading to 0 at 1."""
-    distances, nearest = KDTree(at).query(to, [*range(1, NEAREST + 1)], distance_upper_bound=1.0)
+    ranks: Any = range(1, NEAREST + 1)  # also of a single one: two dimensions
+    distances, nearest = KDTree(at).query(to, ranks, distance_upper_bound=1.0)
     weights = 1 / np.maximum(distances, 1e-9) ** 2  # 0 for those that are too far, which have index K
     found = np.concatenate([values, np.zeros((1, 3), np.float32)])[nearest]
     mean = np.einsum("mn,mnc->mc", weights, found) / np.maximum(weights.sum(1), 1e-9)[:, None]
