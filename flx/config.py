@@ -208,9 +208,13 @@ class Controls:
     """What guides new textures; by default nothing does."""
 
     strength: float = 1.0  # how far from the input: 0.3 changes details, 1 makes everything new
+    keep: Path | None = None  # a mask as large as the texture: what is white stays as it is, to the bit
+    fill: Path | None = None  # the same the other way round: what is white becomes new
 
     def __post_init__(self) -> None:
         _check("controls", self)
+        if self.keep and self.fill:
+            raise ValueError(f"keep is {self.keep} and fill {self.fill}; give one, each says what both would")
         if not 0 < self.strength <= 1:
             raise ValueError(f"strength is {self.strength}; give more than 0 and at most 1")
 

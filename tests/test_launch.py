@@ -181,6 +181,18 @@ def test_wrong_input_is_one_line_and_status_2(vase, monkeypatch, capsys, argumen
 
 
 @pytest.mark.slow
+def test_a_mask_that_does_not_fit_is_refused_and_nothing_is_written(trained, monkeypatch, capsys):
+    monkeypatch.chdir(trained)
+    Image.new("L", (30, 20)).save("small.png")
+    (trained / "words.png").write_text("no image")
+    for mask, named in (("small.png", "30 × 20"), ("words.png", "no known kind"), ("none.png", "not exist")):
+        said = refusal(["sample", "runs/smoke", "--keep", mask, "--out", "kept"], capsys)
+        assert said.count("\n") == 1 and named in said and mask in said
+    said = refusal(["sample", "runs/smoke", "--keep", "small.png", "--fill", "small.png"], capsys)
+    assert "give one" in said and not (trained / "kept").exists()
+
+
+@pytest.mark.slow
 def test_no_variations_are_refused(trained, monkeypatch, capsys):
     monkeypatch.chdir(trained)
     said = refusal(["sample", "runs/smoke", "--count", "0"], capsys)

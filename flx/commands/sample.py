@@ -46,10 +46,11 @@ def sample(options: Sample) -> Path:
     from flx.assets.preflight import check_output
     from flx.assets.unwrap import prepared_for
     from flx.assets.write import write, write_atlases, write_png
-    from flx.geometry.seams import seam_ratio
+    from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
     from flx.pipeline.codec import digest_of
     from flx.pipeline.generator import sampler_named
+    from flx.pipeline.inpainting import REPEATS, kept_texels
     from flx.pipeline.variations import generate
     from flx.stopping import keeping
     from flx.training.load import load_generator
@@ -58,8 +59,9 @@ def sample(options: Sample) -> Path:
     if options.count < 1 or options.steps < 1:
         raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
     generator = load_generator(options.run)
-    strength = options.controls.strength
-    chosen = sampler_named(options.sampler, generator.alphas, options.steps, strength)
+    kept = kept_texels(generator.asset, options.controls)
+    rules = (options.controls.strength, REPEATS if kept else None)
+    chosen = sampler_named(options.sampler, generator.alphas, options.steps, *rules)
     made_by = {
         **settings(options),
         "steps": len(chosen.table["t"]),
@@ -82,7 +84,8 @@ def sample(options: Sample) -> Path:
         "seam_ratio_input": seam_ratio(asset.mesh),
     }
     ratios = dict(zip(before.get("files", []), before.get("seam_ratios", []), strict=False))
-    _write_record(out, record, ratios)  # first: it says whose files these are
+    borders = dict(zip(ratios, before.get("border_ratios", []), strict=False))
+    _write_record(out, record, ratios, borders)  # first: it says whose files these are
     rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)
     made = generate(generator, *rules, options.controls)
     bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
@@ -92,14 +95,20 @@ def sample(options: Sample) -> Path:
         write(asset, baked, file)
         write_atlases(asset, baked, file)
         ratios[file.name] = seam_ratio(shown(asset, baked))
-        _write_record(out, record, ratios)
+        if kept:
+            there = kept.at_size(*baked.images[kept.index].shape[:2])
+            borders[file.name] = border_ratio(shown(asset, baked), there.index, there.texels)
+        _write_record(out, record, ratios, borders)
         variations = [*variations, baked][:8]  # what the contact sheet shows
     titles = [f"variation {n:02d}" for n in range(len(variations))]
     write_png(out / sheet, side_by_side(asset, variations, titles, up))
     return out
 
 
-def _write_record(out: Path, record: dict[str, Any], ratios: dict[str, float | None]) -> None:
-    """samples.json, with the seam ratio of each variation that is there."""
+def _write_record(
+    out: Path, record: dict[str, Any], ratios: dict[str, float | None], borders: dict[str, float | None]
+) -> None:
+    """samples.json, with the ratios at seams, and at the borders of what is kept, of what is there."""
     content = {**record, "files": list(ratios), "seam_ratios": list(ratios.values())}
+    content |= {"border_ratios": list(borders.values())} if borders else {}
     write_atomically(out / "samples.json", (json.dumps(content, indent=2) + "\n").encode())

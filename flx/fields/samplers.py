@@ -6,7 +6,7 @@ A sampler is a table with a row for each step from t to s < t, and a function th
 
 Coefficients are computed in NumPy float64 outside of the scan, because 1 − α_t near α_t = 1 would lose its
 digits in float32. `memory` is the state of a multistep solver. `reverse` scans the table; after each step it
-calls a hook that may change z, for inpainting and guidance.
+calls a hook that may change z, for inpainting and guidance. `repeated` walks parts of a table several times.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from jax import Array
 from jaxtyping import Complex, Float, Float64
 
 from flx.fields.algebra import tangent_noise
-from flx.fields.diffusion import Denoise
+from flx.fields.diffusion import Denoise, diffuse
 
 Hook = Callable[[Complex[Array, "V D"], Float[Array, ""], Array], Complex[Array, "V D"]]  # z, s, key → z
 
@@ -104,6 +104,25 @@ def spaced(alphas: Float64[np.ndarray, "T"], count: int) -> tuple[np.ndarray, np
     return times[:-1], times[1:]
 
 
+def repeated(sampler: Sampler, alphas: Float64[np.ndarray, "T"], length: int, times: int) -> Sampler:
+    """Each stretch of `length` steps 1 + `times` times (RePaint, Lugmayr et al. 2022, algorithm 1).
+
+    Between two times, noise leads from the end of the stretch back to its start: Z_t = √a Z_s + √(1−a) ε with
+    a = α_t/α_s, the column `back`, which is 1 elsewhere; `s` is then the time that the noise leads to. A
+    multistep solver forgets at each return: its Ẑ belongs to another noise, so the next step is of first
+    order.
+    """
+    count = len(sampler.table["t"])
+    starts = range(0, count, length)
+    order = np.concatenate([np.tile(np.arange(a, min(a + length, count)), 1 + times) for a in starts])
+    table = {name: column[order] for name, column in sampler.table.items()}
+    reached, onward = table["s"], np.append(table["t"][1:], 0)
+    table |= {"s": onward, "back": alphas[onward] / alphas[reached]}
+    if "ratio" in table:
+        table["ratio"] = np.where(np.roll(reached != onward, 1), 0, table["ratio"])
+    return sampler._replace(table=table)
+
+
 def nothing(z: Array) -> tuple[()]:
     """The memory of a sampler without memory."""
     return ()
@@ -123,6 +142,9 @@ def reverse(
         step_key = jax.random.fold_in(key, row["n"])
         noise = tangent_noise(step_key, z.shape).astype(z.dtype)
         z, memory = sampler.step(row, denoise, z, memory, noise)
+        if "back" in row:
+            fresh = tangent_noise(jax.random.fold_in(step_key, 2), z.shape).astype(z.dtype)
+            z = diffuse(z, fresh, row["back"])
         if hook is not None:
             z = hook(z, row["s"], jax.random.fold_in(step_key, 1))
         return (z, memory), None

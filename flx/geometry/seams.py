@@ -1,4 +1,7 @@
-"""How visible the seams of an atlas are: the colour jump across them, compared with that inside charts."""
+"""How visible the seams of an atlas are: the colour jump across them, compared with that inside charts.
+
+And the same for the border of what is kept of a texture.
+"""
 
 from typing import Any, NamedTuple
 
@@ -6,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from flx.geometry.arrays import dot, face_areas
+from flx.geometry.atlas import atlas_texels
 from flx.geometry.sampling import surface_colors
 from flx.geometry.topology import edges_of
 from flx.types import Layer, Slot, SurfacePoints, TexturedMesh
@@ -98,3 +102,26 @@ def seam_ratio(mesh: TexturedMesh) -> float | None:
     """For reports: the jump across seams divided by that inside charts; None if the mesh has no seams."""
     jump = seam_jump(mesh)
     return None if jump is None else round(jump.ratio, 3)
+
+
+def border_ratio(mesh: TexturedMesh, index: int, kept: Bool[Any, "H W"]) -> float | None:
+    """The mean jump between neighbouring texels of which one is kept, divided by that between kept ones.
+
+    Of one image, on the surface alone: neighbours lie in faces that have a vertex in common. None where there
+    are no such texels.
+    """
+    image, faces = mesh.textures[index].astype(np.float32), atlas_texels(mesh, index, *kept.shape).faces
+    jumps, kinds = [], []
+    for axis in (0, 1):
+        pairs = [np.delete(np.arange(kept.shape[axis]), end) for end in (-1, 0)]
+        one, other = (faces.take(p, axis) for p in pairs)
+        both = (one >= 0) & (other >= 0)
+        corners = mesh.faces[np.stack([one[both], other[both]])]
+        joined = (corners[0][:, :, None] == corners[1][:, None]).any((1, 2))
+        here, there = (image.take(p, axis)[both][joined] for p in pairs)
+        jumps.append(np.abs(here - there).mean(1) / 255)
+        kinds.append(sum(kept.take(p, axis)[both][joined].astype(int) for p in pairs))
+    jump, kind = np.concatenate(jumps), np.concatenate(kinds)
+    if not (kind == 1).any() or not (kind == 2).any():
+        return None
+    return round(float((jump[kind == 1].mean() + LEVEL) / (jump[kind == 2].mean() + LEVEL)), 3)

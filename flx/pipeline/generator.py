@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
+from jax.tree_util import Partial
 from jaxtyping import Complex64, Float64
 
 from flx import __version__
@@ -79,6 +80,7 @@ class Generator:
         hook: samplers.Hook | None = None,
         near: Complex64[np.ndarray, "V D"] | None = None,
         strength: float = 1.0,
+        repeats: tuple[int, int] | None = None,
     ) -> Complex64[np.ndarray, "V D"]:
         """New codes at the vertices of a copy: anything with `tables`, the generator's own unless given.
 
@@ -88,9 +90,11 @@ class Generator:
             steps: Evaluations of the network; "ancestral" takes all of the schedule instead.
             sampler: "ddim" (deterministic), "dpm" (second order) or "ancestral" (DDPM).
             hook: Called after each step with (z, s, key); its result replaces z. z is scaled (`scaling`).
+                A `jax.tree_util.Partial` binds arrays to it; a hook is compiled once, whatever they hold.
             near: Codes on the copy to stay near: sampling starts from these, noised.
             strength: How far it may go from `near`: the share of the schedule, and of the steps, that is
                 taken; 1 forgets `near`.
+            repeats: Length and times of the stretches of steps that are repeated (`samplers.repeated`).
 
         Raises ValueError for a sampler that is not known, for more steps than the schedule has, and for a
         strength outside (0, 1].
@@ -98,13 +102,14 @@ class Generator:
         if not 0 < strength <= 1:
             raise ValueError(f"strength is {strength}; give more than 0 and at most 1")
         strength = 1.0 if near is None else strength
-        chosen = sampler_named(sampler, self.alphas, steps, strength)
+        chosen = sampler_named(sampler, self.alphas, steps, strength, repeats)
         tables = jax.tree.map(jnp.asarray, (copy or self.home).tables)
         start, signal = np.zeros((len(tables.fine.masses), self.codec.config.latents), np.complex64), 0.0
         if near is not None and strength < 1:
             start, signal = self.scaling.to_diffusion(near), self.alphas[int(chosen.table["t"][0])]
-        rules = (self.denoise, chosen.step, chosen.memory, hook)
-        z = _draw(*rules, self.params, tables, chosen.table, start, jnp.float32(signal), key)
+        rules = (self.denoise, chosen.step, chosen.memory)
+        bound = hook if hook is None or isinstance(hook, Partial) else Partial(hook)
+        z = _draw(*rules, bound, self.params, tables, chosen.table, start, jnp.float32(signal), key)
         return self.scaling.to_latents(np.asarray(z))
 
     @cached_property
@@ -120,21 +125,27 @@ class Generator:
 
 
 def sampler_named(
-    name: str, alphas: Float64[np.ndarray, "T"], steps: int, strength: float = 1.0
+    name: str,
+    alphas: Float64[np.ndarray, "T"],
+    steps: int,
+    strength: float = 1.0,
+    repeats: tuple[int, int] | None = None,
 ) -> samplers.Sampler:
-    """A sampler of the last `strength` of a schedule, with as large a share of `steps`.
+    """A sampler of the last `strength` of a schedule, with as large a share of `steps`, some repeated.
 
     Raises ValueError for a name that is not known, and for more steps than the schedule has.
     """
     alphas, steps = alphas[: 1 + max(1, round(strength * (len(alphas) - 1)))], max(1, round(strength * steps))
-    if name == "ancestral":
-        return samplers.ancestral(alphas)
     if name not in get_args(Sampler):
         raise ValueError(f"there is no sampler {name!r}; choose one of {', '.join(get_args(Sampler))}")
-    return {"ddim": samplers.ddim, "dpm": samplers.dpm_solver}[name](alphas, steps)
+    if name == "ancestral":
+        chosen = samplers.ancestral(alphas)
+    else:
+        chosen = {"ddim": samplers.ddim, "dpm": samplers.dpm_solver}[name](alphas, steps)
+    return samplers.repeated(chosen, alphas, *repeats) if repeats else chosen
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _draw(denoise, step, memory, hook, params, tables, table, near, signal, key):
     """Codes as they are diffused, from `near` and the noise of a key; `signal` is the α of `near`."""
     of_start, of_steps = jax.random.split(key)

@@ -15,6 +15,7 @@ from flx.geometry.copies import sample_rings
 from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, open_canvas
 from flx.pipeline.generator import Generator, Home
+from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, kept_texels, restored
 from flx.types import Triangulation
 
 
@@ -24,6 +25,7 @@ class Guided(NamedTuple):
     home: Home  # what codes are made on
     hook: Hook | None
     near: Complex64[np.ndarray, "V D"] | None  # codes to stay near
+    kept: Inpainting | None  # what stays of the texture
 
 
 def guided(generator: Generator, controls: Controls) -> Guided:
@@ -33,7 +35,9 @@ def guided(generator: Generator, controls: Controls) -> Guided:
     """
     home = generator.home
     near = own_codes(generator, home.triangulation) if controls.strength < 1 else None
-    return Guided(home, None, near)
+    kept = kept_texels(generator.asset, controls)
+    held = kept and inpainting(generator, kept, home.triangulation)
+    return Guided(home, held and held.hook, near, held)
 
 
 def generate(
@@ -53,7 +57,8 @@ def generate(
         count: How many.
         seed: Variation n depends on the seed and n alone.
         steps, sampler: See `Generator.sample`.
-        texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
+        texture_size: Pixels on the longer side; the input's, at most 2048 (all where some are kept), unless
+            given.
         asset: The same asset with an atlas of its own, if it came without one.
         controls: What guides them, a `flx.Controls`.
 
@@ -64,12 +69,16 @@ def generate(
             flx.save(generator.asset, painting, f"variation_{n}.glb")
     """
     controls = controls or Controls()
-    home, hook, near = guided(generator, controls)
+    home, hook, near, held = guided(generator, controls)
+    if held:
+        texture_size = texture_size or max(held.kept.texels.shape)
     canvas = open_canvas(asset or generator.asset, home.triangulation, texture_size)
+    repeats = REPEATS if held else None
     for n in range(count):
         key = jax.random.fold_in(jax.random.key(seed), n)
-        codes = generator.sample(key, home, steps, sampler, hook, near, controls.strength)
-        yield bake(canvas, generator.codec.decoder(codes))
+        codes = generator.sample(key, home, steps, sampler, hook, near, controls.strength, repeats)
+        painting = bake(canvas, generator.codec.decoder(codes))
+        yield restored(held, canvas, painting) if held else painting
 
 
 def reconstruct(generator: Generator, texture_size: int | None = None) -> Painting:

@@ -60,6 +60,34 @@ def test_the_exact_denoiser_of_one_point_returns_that_point(name):
     np.testing.assert_allclose(found, point, atol=2e-4)
 
 
+@pytest.mark.parametrize("name", [pytest.param("ancestral", marks=pytest.mark.slow), "ddim", "dpm"])
+@pytest.mark.parametrize(("length", "times"), [(1, 1), (5, 2), (7, 1)])
+def test_repeated_stretches_lead_back_and_end_where_they_did(name, length, times):
+    """Each step starts where the one before, or the noise after it, has led; the last word is the data's."""
+    table = samplers.repeated(SAMPLERS[name], ALPHAS, length, times).table
+    once = SAMPLERS[name].table
+    assert len(table["t"]) == (1 + times) * len(once["t"])
+    np.testing.assert_array_equal(table["s"][:-1], table["t"][1:])
+    np.testing.assert_array_equal(np.unique(table["t"]), np.unique(once["t"]))
+    returns = np.flatnonzero(table["back"] != 1)
+    assert len(returns) == times * -(-len(once["t"]) // length)
+    for row in returns:
+        reached = once["s"][once["t"] == table["t"][row]][0]
+        np.testing.assert_allclose(ALPHAS[reached] * table["back"][row], ALPHAS[table["s"][row]])
+        assert name != "dpm" or table["ratio"][row + 1] == 0
+
+
+@pytest.mark.parametrize("name", ["ddim", "dpm"])
+def test_repeating_draws_anew_from_the_same_gaussian(name):
+    start = tangent_noise(jax.random.key(1), (2000, 1))
+    sampler = samplers.repeated(SAMPLERS[name], ALPHAS, 5, 2)
+    drawn = samplers.reverse(of_gaussian(0.5), sampler, start, jax.random.key(2))
+    once = samplers.reverse(of_gaussian(0.5), SAMPLERS[name], start, jax.random.key(2))
+    assert abs(np.var(np.real(drawn)) / np.var(np.real(once)) - 1) < 0.1
+    correlation = np.corrcoef(np.real(drawn)[:, 0], np.real(once)[:, 0])[0, 1]
+    assert abs(correlation) < 0.2  # the noise between has made it new
+
+
 @pytest.mark.parametrize("count", [1, 7, 50, 1000])
 def test_ddim_times_go_from_the_end_to_zero(count):
     t, s = samplers.spaced(ALPHAS, count)

@@ -100,7 +100,7 @@ def test_at_full_strength_the_start_is_forgotten(generator):
     plain = generator.sample(jax.random.key(1), steps=5)
     near = np.full((162, 8), 9, np.complex64)
     np.testing.assert_array_equal(generator.sample(jax.random.key(1), steps=5, near=near), plain)
-    for strength in (0, -1, 1.5, np.nan):
+    for strength in (0.0, -1.0, 1.5, float("nan")):
         with pytest.raises(ValueError, match=r"strength is .*more than 0 and at most 1"):
             generator.sample(jax.random.key(1), near=near, strength=strength)
 
