@@ -26,6 +26,8 @@ def test_what_cannot_be_written_is_refused_before_anything_is_paid_for(tmp_path,
     with pytest.raises(ValueError, match="has textures, a PLY only vertex colours; use --format"):
         reconstruct(Reconstruct(path, out=tmp_path / "out", format="ply"))
     path = path.rename(path.with_name("reconstruction.obj"))
-    with pytest.raises(ValueError, match=r"would overwrite a file of .*; name another --out"):
+    with pytest.raises(
+        ValueError, match=r"holds the files of another call .reconstruction.obj is there.; name another"
+    ):
         reconstruct(Reconstruct(path, out=path.parent, format="obj"))
     assert not (tmp_path / "out").exists()
