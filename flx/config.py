@@ -191,9 +191,15 @@ class Controls:
     """What guides new textures; by default nothing does."""
 
     strength: float = 1.0  # how far from the input: 0.3 changes details, 1 makes everything new
+    mesh: str | None = None  # another mesh file to paint; it needs no texture
+    scale: float = 1.0  # size of details: 2 makes them twice as large, 0.5 half as large
 
     def __post_init__(self) -> None:
         _check("controls", self)
+        if not 0 < self.scale < float("inf"):
+            raise ValueError(f"scale is {self.scale}; give a number more than 0, such as 2")
+        if self.mesh is not None and self.strength < 1:
+            raise ValueError(f"strength is {self.strength}; leave it out for another mesh, {self.mesh}")
         if not 0 < self.strength <= 1:
             raise ValueError(f"strength is {self.strength}; give more than 0 and at most 1")
 

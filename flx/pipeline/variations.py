@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Complex64
 
 from flx.assets.asset import Asset, Painting
+from flx.assets.shape import read_shape
 from flx.config import STEPS, Controls, Sampler
 from flx.fields.samplers import Hook
 from flx.geometry.atlas import with_filled_gutters
@@ -15,6 +16,7 @@ from flx.geometry.copies import sample_rings
 from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, open_canvas
 from flx.pipeline.generator import Generator, Home
+from flx.pipeline.transfer import home_on
 from flx.types import Triangulation
 
 
@@ -26,12 +28,12 @@ class Guided(NamedTuple):
     near: Complex64[np.ndarray, "V D"] | None  # codes to stay near
 
 
-def guided(generator: Generator, controls: Controls) -> Guided:
-    """What a generator needs to follow some controls.
+def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
+    """What a generator needs to follow some controls on its own asset or on another.
 
     Raises ValueError for controls that it cannot follow.
     """
-    home = generator.home
+    home = home_on(generator, asset, controls.scale)
     near = own_codes(generator, home.triangulation) if controls.strength < 1 else None
     return Guided(home, None, near)
 
@@ -54,7 +56,8 @@ def generate(
         seed: Variation n depends on the seed and n alone.
         steps, sampler: See `Generator.sample`.
         texture_size: Pixels on the longer side; the input's, at most 2048, unless given.
-        asset: The same asset with an atlas of its own, if it came without one.
+        asset: Another mesh to paint, from `flx.load_shape`; or the generator's own with an atlas, if it
+            came without one.
         controls: What guides them, a `flx.Controls`.
 
     Raises ValueError for controls that the generator cannot follow.
@@ -64,8 +67,10 @@ def generate(
             flx.save(generator.asset, painting, f"variation_{n}.glb")
     """
     controls = controls or Controls()
-    home, hook, near = guided(generator, controls)
-    canvas = open_canvas(asset or generator.asset, home.triangulation, texture_size)
+    if asset is None:
+        asset = read_shape(controls.mesh) if controls.mesh else generator.asset
+    home, hook, near = guided(generator, controls, asset)
+    canvas = open_canvas(asset, home.triangulation, texture_size)
     for n in range(count):
         key = jax.random.fold_in(jax.random.key(seed), n)
         codes = generator.sample(key, home, steps, sampler, hook, near, controls.strength)
