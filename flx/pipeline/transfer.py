@@ -3,6 +3,8 @@ texture's scale. The network knows lengths in mean vertex radii alone, so detail
 
 import sys
 
+from tqdm import tqdm
+
 from flx.assets.asset import Asset
 from flx.geometry.arrays import face_areas
 from flx.geometry.remesh.remesh import remesh
@@ -22,7 +24,7 @@ def home_on(generator: Generator, asset: Asset, scale: float = 1.0) -> Home:
     if asset.digest == generator.asset.digest and scale == 1:
         return generator.home
     count = vertex_count(generator, asset, scale)
-    print(in_words(generator, asset, scale), file=sys.stderr)
+    tqdm.write(in_words(generator, asset, scale), file=sys.stderr)
     seed = generator.experiment.surface.seed
     try:
         triangulation = remesh(asset.mesh.vertices, asset.mesh.faces, count, seed)
@@ -59,7 +61,7 @@ def in_words(generator: Generator, asset: Asset, scale: float = 1.0) -> str:
     if not 1 / SAME_UNITS <= other / own <= SAME_UNITS:
         size += " relative to the whole mesh: areas so different are taken for other units"
     vertices = f"{count:,} vertices for {learnt:,} learnt"
-    return f"{asset.path}: area {other:.4g}, the learnt mesh's {own:.4g}; {vertices}, so that details {size}"
+    return f"{asset.path.name}: area {other:.4g}, the learnt mesh's {own:.4g}; {vertices}, so that details {size}"
 
 
 def _area(asset: Asset) -> float:

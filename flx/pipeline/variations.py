@@ -34,6 +34,8 @@ def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
     Raises ValueError for controls that it cannot follow.
     """
     home = home_on(generator, asset, controls.scale)
+    if controls.strength < 1 and asset.digest != generator.asset.digest:
+        raise ValueError(f"{asset.path} has no texture to stay near; leave strength out")
     near = own_codes(generator, home.triangulation) if controls.strength < 1 else None
     return Guided(home, None, near)
 
