@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
 
 from flx.assets.assemble import assemble, faults_of
 from flx.assets.asset import Asset, Format
@@ -123,7 +124,7 @@ def _own_pictures(contents: Contents) -> dict[str, Picture]:
     return pictures
 
 
-def _enlarged(picture: Picture) -> Picture:
+def _enlarged(picture: Picture) -> UInt8[Any, "_ _ C"]:
     times = -(-SIDE // max(picture.shape[:2]))
     return picture.repeat(times, 0).repeat(times, 1)
 

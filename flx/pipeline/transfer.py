@@ -60,8 +60,9 @@ def in_words(generator: Generator, asset: Asset, scale: float = 1.0) -> str:
     size = "keep their size" if scale == 1 else f"are {scale:g} times as large"
     if not 1 / SAME_UNITS <= other / own <= SAME_UNITS:
         size += " relative to the whole mesh: areas so different are taken for other units"
+    areas = f"area {other:.4g}, the learnt mesh's {own:.4g}"
     vertices = f"{count:,} vertices for {learnt:,} learnt"
-    return f"{asset.path.name}: area {other:.4g}, the learnt mesh's {own:.4g}; {vertices}, so that details {size}"
+    return f"{asset.path.name}: {areas}; {vertices}, so that details {size}"
 
 
 def _area(asset: Asset) -> float:

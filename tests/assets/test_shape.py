@@ -13,6 +13,18 @@ from flx.assets.shape import SIDE, read_shape
 from flx.assets.write import write
 
 
+def charted(text: str) -> str:
+    """The tetrahedron with a quarter of the image for each face."""
+    head = text[: text.index("vt 0 0")]
+    rows = "".join(
+        f"vt {u} {v}\nvt {u + 0.4} {v}\nvt {u} {v + 0.4}\n"
+        for u, v in ((0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5))
+    )
+    corners = ((1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4))
+    faces = [" ".join(f"{v}/{3 * n + k + 1}" for k, v in enumerate(face)) for n, face in enumerate(corners)]
+    return f"{head}{rows}usemtl skin\n" + "".join(f"f {face}\n" for face in faces)
+
+
 def red(asset) -> Painting:
     return Painting({"base_color": [np.full_like(i, (255, 0, 0)) for i in asset.mesh.textures]})
 
@@ -22,6 +34,7 @@ def test_a_gltf_without_an_image_keeps_its_bytes_and_loses_its_tint(tmp_path):
         d["materials"] = [{"name": "m", "pbrMetallicRoughness": {"baseColorFactor": [0.1, 0.2, 0.3, 0.5]}}]
         d["images"], d["textures"], d["extras"] = [], [], {"kept": 1}
         d["nodes"][0]["name"] = "my node"
+        d["accessors"][2]["count"] = 3  # one triangle: the four share texels
 
     asset = read_shape(gltf(bare)(tmp_path))
     assert [image.shape for image in asset.mesh.textures] == [(SIDE, SIDE, 3)]
@@ -34,7 +47,7 @@ def test_a_gltf_without_an_image_keeps_its_bytes_and_loses_its_tint(tmp_path):
 
 @pytest.mark.parametrize("image", [None, b"no image"], ids=["own", "broken"])
 def test_an_obj_is_painted_whether_its_image_can_be_read_or_not(tmp_path, image):
-    asset = read_shape(obj(image=image)(tmp_path))
+    asset = read_shape(obj(charted, image=image)(tmp_path))
     assert (asset.container is None) == (image is not None)
     assert min(i.shape[0] for i in asset.mesh.textures) >= SIDE  # one of 4 × 4 pixels is enlarged
     write(asset, red(asset), tmp_path / "out.glb")
@@ -42,7 +55,8 @@ def test_an_obj_is_painted_whether_its_image_can_be_read_or_not(tmp_path, image)
 
 
 def test_every_material_is_painted(tmp_path):
-    twice = obj(lambda t: t.replace("f 2/1", "usemtl flat\nf 2/1"), MTL + "newmtl flat\nKd 1 0 0\n")
+    two = MTL + "newmtl flat\nKd 1 0 0\n"
+    twice = obj(lambda t: charted(t).replace("f 2/10", "usemtl flat\nf 2/10"), two)
     asset = read_shape(twice(tmp_path))
     assert len(asset.textures) == 2 and not any(texture.flat for texture in asset.textures)
 

@@ -10,6 +10,7 @@ import pytest
 from helpers.files import MTL, colored_ball, gltf, obj
 
 from flx.assets.asset import Painting
+from flx.assets.formats.glb import glb_bytes
 from flx.assets.formats.gltf import read_gltf
 from flx.assets.read import read_asset
 from flx.assets.variants import EXTENSION, check_variants, write_variants
@@ -59,16 +60,13 @@ def test_each_variant_shows_its_own_image_on_the_same_geometry(variants, tmp_pat
             mappings = primitive["extensions"][EXTENSION]["mappings"]
             primitive["material"] = next(m["material"] for m in mappings if n in m["variants"])
         chosen = tmp_path / f"chosen{n}.glb"
-        from flx.assets.formats.glb import glb_bytes
-
         chosen.write_bytes(glb_bytes(file._replace(document=document)))
         shown = read_asset(chosen).mesh
         assert all((image == color).all() for image in shown.textures), n
 
 
 def test_old_variants_are_left_out(variants, tmp_path):
-    asset, path = variants
-    again = read_asset(path)
+    again = read_asset(variants[1])
     write_variants(again, [("only", painted(again, COLORS[1]))], tmp_path / "again.glb")
     document = read_gltf(tmp_path / "again.glb").document
     assert document["extensions"][EXTENSION]["variants"] == [{"name": "only"}]
