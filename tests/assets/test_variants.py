@@ -33,7 +33,10 @@ def two_materials(folder: Path) -> Path:
     return obj(lambda t: t.replace("f 2/1", "usemtl other\nf 2/1"), text)(folder)
 
 
-@pytest.fixture(params=[gltf(len), two_materials], ids=["GLB", "OBJ"])
+bounded = gltf(lambda d: d["accessors"][0].update(min=[0.0] * 3, max=[1.0] * 3))
+
+
+@pytest.fixture(params=[bounded, two_materials], ids=["GLB", "OBJ"])
 def variants(request, tmp_path):
     """The asset, and the file of its three variants."""
     asset = read_asset(request.param(tmp_path))
