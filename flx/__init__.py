@@ -25,6 +25,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from flx.assets.arrays import from_arrays, from_trimesh, to_trimesh
     from flx.assets.read import read_asset as load
+    from flx.assets.shape import read_shape as load_shape
     from flx.assets.vase import vase_asset as vase
     from flx.assets.write import write as save
     from flx.commands.train import learn as train
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "load": "assets.read:read_asset",
+    "load_shape": "assets.shape:read_shape",
     "from_arrays": "assets.arrays",
     "from_trimesh": "assets.arrays",
     "to_trimesh": "assets.arrays",

@@ -210,11 +210,19 @@ class Controls:
     strength: float = 1.0  # how far from the input: 0.3 changes details, 1 makes everything new
     keep: Path | None = None  # a mask as large as the texture: what is white stays as it is, to the bit
     fill: Path | None = None  # the same the other way round: what is white becomes new
+    mesh: Path | None = None  # another mesh file to paint; it needs no texture
+    scale: float = 1.0  # size of details: 2 makes them twice as large, 0.5 half as large
 
     def __post_init__(self) -> None:
         _check("controls", self)
         if self.keep and self.fill:
             raise ValueError(f"keep is {self.keep} and fill {self.fill}; give one, each says what both would")
+        if not 0 < self.scale < float("inf"):
+            raise ValueError(f"scale is {self.scale}; give a number more than 0, such as 2")
+        if self.mesh is not None and self.strength < 1:
+            raise ValueError(f"strength is {self.strength}; leave it out for another mesh, {self.mesh}")
+        if self.mesh is not None and (mask := self.keep or self.fill):
+            raise ValueError(f"mask {mask} is one of the learnt texture; leave it out for another mesh")
         if not 0 < self.strength <= 1:
             raise ValueError(f"strength is {self.strength}; give more than 0 and at most 1")
 

@@ -1,12 +1,12 @@
 """Reads a textured mesh file into an `Asset`, or raises an error of one line that names the fault."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from flx.assets.assemble import assemble, faults_of
 from flx.assets.asset import Asset
 from flx.assets.formats.files import BadFile
-from flx.assets.formats.readers import READERS
+from flx.assets.formats.readers import READERS, Contents, Reader
 from flx.types import Slot
 
 
@@ -29,12 +29,19 @@ def read_asset(
         print(asset.report.vertices, asset.report.textures)
     """
     path = Path(path)
-    reader = READERS.get(path.suffix.lower())
+    contents = read_contents(path)
+    with faults_of(path):
+        return assemble(path, contents, None if texture is None else Path(texture), slots)
+
+
+def read_contents(path: Path, readers: Mapping[str, Reader] = READERS) -> Contents:
+    """A mesh file, not yet checked, by the reader for its suffix. Raises as `read_asset` does."""
+    reader = readers.get(path.suffix.lower())
     try:
         if not path.exists():
-            raise FileNotFoundError(f"{path} does not exist; name a mesh file ({', '.join(READERS)})")
+            raise FileNotFoundError(f"{path} does not exist; name a mesh file ({', '.join(readers)})")
         if reader is None or not path.is_file():
-            raise ValueError(f"{path} is not a mesh file; give one of {', '.join(READERS)}")
+            raise ValueError(f"{path} is not a mesh file; give one of {', '.join(readers)}")
         if path.stat().st_size == 0:
             raise ValueError(f"{path} is empty; export it again")
     except OSError as fault:
@@ -43,10 +50,9 @@ def read_asset(
         raise ValueError(f"{str(path)[:80]} cannot be opened ({fault.strerror}); give a mesh file") from fault
     with faults_of(path):
         try:
-            contents = reader(path)
+            return reader(path)
         except (BadFile, OSError):
             raise
         except Exception as fault:  # unforeseen, in a parser
             what = " ".join(f"{type(fault).__name__}: {fault}".split())[:200]
             raise ValueError(f"cannot be read ({what}); export it again") from fault
-        return assemble(path, contents, None if texture is None else Path(texture), slots)

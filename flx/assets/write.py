@@ -49,7 +49,7 @@ def write(asset: Asset, painting: Painting, path: str | Path) -> None:
     if path.suffix == ".ply":
         _write_ply(asset, painting.colors, path)
     elif path.suffix != ".obj":
-        write_atomically(path, glb.glb_bytes(_painted_gltf(asset, painting)))
+        write_atomically(path, glb.glb_bytes(painted_gltf(asset, painting)))
     else:
         check_room(asset, path)
         (_write_obj if asset.textures else _write_obj_colors)(asset, painting, path)
@@ -231,7 +231,7 @@ def _word(name: str) -> str:
     return re.sub(r"\s+", "_", name.strip()) or "unnamed"
 
 
-def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
+def painted_gltf(asset: Asset, painting: Painting) -> Gltf:
     """The asset's own glTF with other images or vertex colours, or a new one. Images that stand for a
     material's flat value are not written."""
     file = asset.container
@@ -242,8 +242,7 @@ def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
     maps: dict[Slot, Images] = {**({} if isinstance(file, Gltf) else own), **painting.maps}
     pngs: dict[Slot, dict[int, bytes]] = {}
     for slot, images in maps.items():
-        textures = enumerate(asset.sources[slot])
-        pngs[slot] = {i: encode_png(images[i], t.alpha) for i, t in textures if not t.flat}
+        pngs[slot] = encoded(asset, slot, images)
     if not isinstance(file, Gltf):
         name = only_object(file) if isinstance(file, ObjSource) else ""
         return glb.build_gltf(name or asset.path.stem, asset.parts, asset.paints, pngs, colors)
@@ -255,6 +254,12 @@ def _painted_gltf(asset: Asset, painting: Painting) -> Gltf:
         shown = {material: index for material, index in used if index in images}
         file = glb.replace_images(file, slot, shown, images)
     return file
+
+
+def encoded(asset: Asset, slot: Slot, images: Images) -> dict[int, bytes]:
+    """New images of a slot as PNGs with the alpha of the old; none for those that are flat."""
+    textures = enumerate(asset.sources[slot])
+    return {i: encode_png(images[i], t.alpha) for i, t in textures if not t.flat}
 
 
 def write_atlases(asset: Asset, painting: Painting, path: Path) -> None:

@@ -1,6 +1,7 @@
 """`flx sample`: new textures from a trained generator."""
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -8,7 +9,7 @@ from typing import Any, Literal
 from tqdm import tqdm
 from tyro.conf import OmitArgPrefixes, Positional
 
-from flx.assets.asset import Format
+from flx.assets.asset import Format, Painting
 from flx.commands.output import own_folder, settings
 from flx.config import STEPS, Controls, Sampler
 from flx.files import write_atomically
@@ -29,6 +30,7 @@ class Sample:
     texture_size: int | None = None  # pixels on the longer side; the input's, at most 2048, unless given
     # "glb" keeps everything that a GLB or glTF held, "obj" everything of an OBJ; "ply" holds vertex colours
     format: Format = "glb"
+    variants: bool = False  # write one GLB, variants.glb, with all variations as material variants
     steps: int = STEPS  # evaluations of the network; "ancestral" takes all steps of the schedule instead
     sampler: Sampler = "dpm"  # "dpm" is of second order, "ddim" of first; "ancestral" is DDPM
     up: Literal["y", "z"] | None = None  # the axis that points up in the contact sheet; as in the run
@@ -44,13 +46,16 @@ def sample(options: Sample) -> Path:
     Raises ValueError where there is no trained FLDM, or the output cannot be written.
     """
     from flx.assets.preflight import check_output
+    from flx.assets.shape import read_shape
     from flx.assets.unwrap import prepared_for
+    from flx.assets.variants import check_variants, write_variants
     from flx.assets.write import write, write_atlases, write_png
     from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
     from flx.pipeline.codec import digest_of
     from flx.pipeline.generator import sampler_named
     from flx.pipeline.inpainting import REPEATS, kept_texels
+    from flx.pipeline.transfer import vertex_count
     from flx.pipeline.variations import generate
     from flx.stopping import keeping
     from flx.training.load import load_generator
@@ -62,6 +67,11 @@ def sample(options: Sample) -> Path:
     kept = kept_texels(generator.asset, options.controls)
     rules = (options.controls.strength, REPEATS if kept else None)
     chosen = sampler_named(options.sampler, generator.alphas, options.steps, *rules)
+    other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
+    asset = prepared_for(other or generator.asset, options.format)
+    up = options.up or generator.experiment.surface.up
+    if options.variants:
+        check_variants(asset, options.format)
     made_by = {
         **settings(options),
         "steps": len(chosen.table["t"]),
@@ -69,46 +79,62 @@ def sample(options: Sample) -> Path:
         "generator": digest_of(generator.params)[:12],
     }
     home = options.run if options.run.is_dir() else options.run.parent
-    names = [f"variation_{n:02d}.{options.format}" for n in range(options.count)]
+    titles = [f"variation {n:02d}" for n in range(options.count)]
+    stems = ["variants"] if options.variants else [title.replace(" ", "_") for title in titles]
+    names = [f"{stem}.{options.format}" for stem in stems]
     also, sheet = f"step-{generator.step}", "contact_sheet.png"
-    place = (home / "samples", also, "samples.json", made_by, [*names, sheet])
-    out, before = own_folder(options, *place)
+    out, before = own_folder(options, home / "samples", also, "samples.json", made_by, [*names, sheet])
     files = [out / name for name in names]
-    check_output(generator.asset, options.format, files, [out / sheet])
+    check_output(other or generator.asset, options.format, files, [out / sheet])
 
-    asset, up = prepared_for(generator.asset, options.format), options.up or generator.experiment.surface.up
     record = {
         "run": str(options.run),
         **made_by,
-        "vertices": len(generator.home.triangulation.vertices),
-        "seam_ratio_input": seam_ratio(asset.mesh),
+        "vertices": vertex_count(generator, asset, options.controls.scale),
+        "seam_ratio_input": seam_ratio((generator.asset if other else asset).mesh),
     }
     ratios = dict(zip(before.get("files", []), before.get("seam_ratios", []), strict=False))
     borders = dict(zip(ratios, before.get("border_ratios", []), strict=False))
-    _write_record(out, record, ratios, borders)  # first: it says whose files these are
+    _write_record(out, record, list(ratios), ratios, borders)  # first: it says whose files these are
     rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)
     made = generate(generator, *rules, options.controls)
     bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
-    variations = []
-    keeping(lambda: f"{len(ratios)} variations are kept in {out}; the same command makes all of them")
-    for file, baked in zip(files, bar, strict=True):
-        write(asset, baked, file)
-        write_atlases(asset, baked, file)
-        ratios[file.name] = seam_ratio(shown(asset, baked))
-        if kept:
-            there = kept.at_size(*baked.images[kept.index].shape[:2])
-            borders[file.name] = border_ratio(shown(asset, baked), there.index, there.texels)
-        _write_record(out, record, ratios, borders)
-        variations = [*variations, baked][:8]  # what the contact sheet shows
-    titles = [f"variation {n:02d}" for n in range(len(variations))]
-    write_png(out / sheet, side_by_side(asset, variations, titles, up))
+    variations: list[Painting] = []  # what the contact sheet shows
+
+    def noted(names: Sequence[str]) -> Iterator[Painting]:
+        for name, baked in zip(names, bar, strict=True):
+            textured = shown(asset, baked)
+            ratios[name] = seam_ratio(textured)
+            if kept:
+                there = kept.at_size(*baked.images[kept.index].shape[:2])
+                borders[name] = border_ratio(textured, there.index, there.texels)
+            variations.extend([baked] if len(variations) < 8 else [])
+            yield baked
+
+    if options.variants:
+        keeping(lambda: f"{names[0]} is written when all variations are made; the same command starts again")
+        ratios.clear()
+        write_variants(asset, zip(titles, noted(titles), strict=True), files[0])
+        _write_record(out, record, names, ratios, borders)
+    else:
+        keeping(lambda: f"{len(ratios)} variations are kept in {out}; the same command makes all of them")
+        for file, baked in zip(files, noted(names), strict=True):
+            write(asset, baked, file)
+            write_atlases(asset, baked, file)
+            _write_record(out, record, list(ratios), ratios, borders)
+    shown_titles = titles[: len(variations)]
+    write_png(out / sheet, side_by_side(asset, variations, shown_titles, up, own=generator.asset))
     return out
 
 
 def _write_record(
-    out: Path, record: dict[str, Any], ratios: dict[str, float | None], borders: dict[str, float | None]
+    out: Path,
+    record: dict[str, Any],
+    files: list[str],
+    ratios: dict[str, float | None],
+    borders: dict[str, float | None],
 ) -> None:
-    """samples.json, with the ratios at seams, and at the borders of what is kept, of what is there."""
-    content = {**record, "files": list(ratios), "seam_ratios": list(ratios.values())}
+    """samples.json: the files that are there, and of each variation the ratios at seams and at borders."""
+    content = {**record, "files": files, "seam_ratios": list(ratios.values())}
     content |= {"border_ratios": list(borders.values())} if borders else {}
     write_atomically(out / "samples.json", (json.dumps(content, indent=2) + "\n").encode())

@@ -172,12 +172,22 @@ def show(asset: Asset, *paintings: Painting, up: Literal["y", "z"] = "y", size: 
 
 
 def side_by_side(
-    asset: Asset, paintings: Sequence[Painting], captions: Sequence[str], up: str, size: int = 384
+    asset: Asset,
+    paintings: Sequence[Painting],
+    captions: Sequence[str],
+    up: str,
+    size: int = 384,
+    own: Asset | None = None,
 ) -> UInt8[Any, "_ _ 3"]:
-    """Renders of the input and of each new texture in columns, a view in each row."""
-    meshes = [asset.mesh, *(shown(asset, painting) for painting in paintings)]
-    views = [render.look(asset.mesh, a, e, size, up) for a, e in VIEWS]  # pyright: ignore
-    rows = [[render.show(view, mesh) for mesh in meshes] for view in views]
+    """Renders of the input and of each new texture in columns, a view in each row.
+
+    `own` is the input, if the asset is another mesh.
+    """
+    meshes, own = [shown(asset, painting) for painting in paintings], own or asset
+    rows = []
+    for view in VIEWS:
+        first, others = (render.look(one.mesh, *view, size, up) for one in (own, asset))  # pyright: ignore
+        rows.append([render.show(first, own.mesh), *(render.show(others, mesh) for mesh in meshes)])
     return render.contact_sheet(rows, ["input", *captions])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Complex64
 
 from flx.assets.asset import Asset, Painting
+from flx.assets.shape import read_shape
 from flx.config import STEPS, Controls, Sampler
 from flx.fields.samplers import Hook
 from flx.geometry.atlas import with_filled_gutters
@@ -16,6 +17,7 @@ from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, open_canvas
 from flx.pipeline.generator import Generator, Home
 from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, kept_texels, restored
+from flx.pipeline.transfer import home_on
 from flx.types import Triangulation
 
 
@@ -28,12 +30,14 @@ class Guided(NamedTuple):
     kept: Inpainting | None  # what stays of the texture
 
 
-def guided(generator: Generator, controls: Controls) -> Guided:
-    """What a generator needs to follow some controls.
+def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
+    """What a generator needs to follow some controls on its own asset or on another.
 
     Raises ValueError for controls that it cannot follow.
     """
-    home = generator.home
+    home = home_on(generator, asset, controls.scale)
+    if asset.digest != generator.asset.digest and (controls.strength < 1 or controls.keep or controls.fill):
+        raise ValueError(f"{asset.path} has no texture to stay near; leave strength, keep and fill out")
     near = own_codes(generator, home.triangulation) if controls.strength < 1 else None
     kept = kept_texels(generator.asset, controls)
     held = kept and inpainting(generator, kept, home.triangulation)
@@ -59,7 +63,8 @@ def generate(
         steps, sampler: See `Generator.sample`.
         texture_size: Pixels on the longer side; the input's, at most 2048 (all where some are kept), unless
             given.
-        asset: The same asset with an atlas of its own, if it came without one.
+        asset: Another mesh to paint, from `flx.load_shape`; or the generator's own with an atlas, if it
+            came without one.
         controls: What guides them, a `flx.Controls`.
 
     Raises ValueError for controls that the generator cannot follow.
@@ -69,10 +74,12 @@ def generate(
             flx.save(generator.asset, painting, f"variation_{n}.glb")
     """
     controls = controls or Controls()
-    home, hook, near, held = guided(generator, controls)
+    if asset is None:
+        asset = read_shape(controls.mesh) if controls.mesh else generator.asset
+    home, hook, near, held = guided(generator, controls, asset)
     if held:
         texture_size = texture_size or max(held.kept.texels.shape)
-    canvas = open_canvas(asset or generator.asset, home.triangulation, texture_size)
+    canvas = open_canvas(asset, home.triangulation, texture_size)
     repeats = REPEATS if held else None
     for n in range(count):
         key = jax.random.fold_in(jax.random.key(seed), n)

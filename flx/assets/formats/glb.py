@@ -72,6 +72,29 @@ def replace_images(gltf: Gltf, slot: Slot, textures: Mapping[int, int], pngs: Ma
     return Gltf(document, tuple(views))
 
 
+def untinted(gltf: Gltf) -> Gltf:
+    """The same file without what multiplies a base colour: factors (alpha stays) and vertex colours.
+
+    Primitives without a material get one that is not metallic.
+    """
+    document = _copy(gltf.document)
+    materials = document.setdefault("materials", [])
+    primitives = [primitive for mesh in document.get("meshes", []) for primitive in mesh["primitives"]]
+    if any("material" not in primitive for primitive in primitives):
+        plain = {"name": "default", "pbrMetallicRoughness": {"metallicFactor": 0.0}}
+        default = append(document, "materials", plain)
+        for primitive in primitives:
+            primitive.setdefault("material", default)
+    for primitive in primitives:
+        primitive["attributes"].pop("COLOR_0", None)
+    for material in materials:
+        gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+        for holder in (material.get("pbrMetallicRoughness", {}), gloss):
+            for key in {"baseColorFactor", "diffuseFactor"} & holder.keys():
+                holder[key] = [1.0, 1.0, 1.0, holder[key][3]]
+    return Gltf(document, gltf.views)
+
+
 def _holder(material: dict, slot: Slot) -> dict:
     """The object of a material that refers to the texture of a slot."""
     return material.setdefault("pbrMetallicRoughness", {}) if slot in IN_PBR else material

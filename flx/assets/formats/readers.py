@@ -164,4 +164,5 @@ def load_beside(folder: Path, name: str) -> bytes:
         raise FileNotFoundError(fault.errno, fault.strerror, name) from fault
 
 
-READERS = {".obj": _read_obj, ".glb": _read_gltf, ".gltf": _read_gltf, ".ply": _read_ply}
+Reader = Callable[[Path], Contents]
+READERS: dict[str, Reader] = {".obj": _read_obj, ".glb": _read_gltf, ".gltf": _read_gltf, ".ply": _read_ply}

@@ -1,0 +1,19 @@
+"""The texture of a boulder (Poly Haven, boulder_01), to be painted on other meshes.
+
+flx train experiments/boulder_transfer.py --surface.path PATH/boulder_01_1k.gltf
+flx sample runs/boulder_transfer --mesh OTHER.glb
+
+Transfer itself is `flx sample --mesh` on any run, this one or another. The settings are the demo's with fewer
+vertices and steps; cost and result have not been measured.
+"""
+
+from dataclasses import replace
+
+from flx.config import Surface, quick
+
+demo = quick(name="boulder_transfer")
+config = replace(
+    demo,
+    surface=Surface(path="boulder_01_1k.gltf", vertices=3000, copies=8),
+    train=replace(demo.train, steps=1500),
+)

@@ -1,0 +1,19 @@
+"""The globe with NASA's Blue Marble, to be painted at other scales.
+
+flx train experiments/earth_scale.py --surface.path PATH/mesh.obj --surface.texture PATH/earth-blue-marble.jpg
+flx sample runs/earth_scale --scale 2 --out runs/earth_scale/double
+
+Scale itself is `flx sample --scale` on any run, this one or another. The settings are the demo's with fewer
+vertices and steps; cost and result have not been measured.
+"""
+
+from dataclasses import replace
+
+from flx.config import Surface, quick
+
+demo = quick(name="earth_scale")
+config = replace(
+    demo,
+    surface=Surface(path="mesh.obj", texture="earth-blue-marble.jpg", vertices=3000, copies=8),
+    train=replace(demo.train, steps=1500),
+)
