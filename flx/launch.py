@@ -11,15 +11,21 @@
 130 stopped by Ctrl-C. Errors are one line; `--verbose` adds the traceback.
 """
 
+import hashlib
 import os
+import platform
 import sys
+import tempfile
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from flx import __version__
 from flx.stopping import ended_by_signals
 
 COMMANDS = ("doctor", "sample", "reconstruct", "evaluate", "bench")  # and train
+PROGRAM_BYTES = 2**29  # kept of compiled programs; the least recently used go first
 
 
 def parse(words: Sequence[str]) -> Callable[[], None]:
@@ -61,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         names = ", ".join(["train", *COMMANDS])
         return _complain(f"there is no command {words[0]!r}; use one of {names}", 2)
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    keep_compiled_programs()
     try:
         with ended_by_signals():
             parse(words)()
@@ -70,6 +77,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
         wrong_input = isinstance(error, ValueError | FileNotFoundError | IsADirectoryError)
         return _complain(" ".join(str(error).split()) or type(error).__name__, 2 if wrong_input else 1)
     return 0
+
+
+def keep_compiled_programs() -> None:
+    """Have JAX, which is imported later, keep what it compiles in $FLX_CACHE, ~/.cache/flx unless set.
+
+    Nothing is kept where FLX_CACHE is empty or the folder cannot be written; a cache directory set for JAX
+    itself stays. Each kind of processor has a folder of its own, since programs are machine code.
+    """
+    place = os.environ.get("FLX_CACHE", os.path.join(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "flx"))
+    if not place or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    programs = Path(place).expanduser() / f"programs-{_processor()}"
+    try:
+        programs.mkdir(mode=0o700, parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=programs).close()
+    except (OSError, RuntimeError):  # RuntimeError: a user without a home
+        return
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(programs)
+    os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(PROGRAM_BYTES))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+    # What cannot be read, or is damaged, is compiled again.
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
+
+
+def _processor() -> str:
+    """A short name for the instructions that this machine's processor knows."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    flags = next((line for line in lines if line.lower().startswith(("flags", "features"))), "")
+    return hashlib.sha256(f"{platform.machine()} {platform.processor()} {flags}".encode()).hexdigest()[:12]
 
 
 def _complain(message: str, status: int) -> int:

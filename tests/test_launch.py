@@ -17,7 +17,7 @@ from PIL import Image
 from flx.assets.asset import own_painting
 from flx.assets.vase import vase_asset
 from flx.assets.write import write
-from flx.launch import main
+from flx.launch import keep_compiled_programs, main
 from flx.machine import Memory
 
 ROOT = Path(__file__).parent.parent
@@ -294,3 +294,38 @@ def test_a_mesh_needs_no_config(trained):
     config = json.loads((trained / "runs" / "vase" / "config.json").read_bytes())["config"]
     assert config["surface"]["path"] == "vase.glb" and config["train"]["optimizer"] == "muon"
     assert (trained / "runs" / "vase" / "generator.safetensors").exists()
+
+
+@pytest.mark.parametrize("place", ["", "a file", "a file/below"])
+def test_a_run_goes_on_where_compiled_programs_cannot_be_kept(place, monkeypatch, tmp_path):
+    (tmp_path / "a file").touch()
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    monkeypatch.setenv("FLX_CACHE", place and str(tmp_path / place))
+    keep_compiled_programs()
+    assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
+
+
+def test_compiled_programs_are_kept_and_a_damaged_one_is_compiled_again_in_silence(tmp_path):
+    script = """
+from pathlib import Path
+from flx.launch import keep_compiled_programs
+keep_compiled_programs()
+import jax
+
+def double():
+    jax.clear_caches()
+    return float(jax.jit(lambda x: 2 * x)(1.0))
+
+first = double()
+kept = list(Path(jax.config.jax_compilation_cache_dir).glob("*-cache"))
+for file in kept:
+    file.write_bytes(file.read_bytes()[:-7])
+print(len(kept) > 0, first, double())
+"""
+    free = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    free |= {"FLX_CACHE": str(tmp_path / "kept"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, env=free, cwd=ROOT, capture_output=True, text=True, timeout=200)
+    assert (done.stdout.split(), done.stderr) == (["True", "2.0", "2.0"], "")
+    (programs,) = (tmp_path / "kept").iterdir()
+    assert programs.stat().st_mode & 0o077 == 0  # whoever can write here runs code
