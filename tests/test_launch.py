@@ -45,7 +45,7 @@ def trained(vase) -> Path:
     folder = vase
     arguments = ["train", SMOKE, "--surface.path", "vase.glb", "--name", "smoke"]
     killed = subprocess.Popen([sys.executable, "-m", "flx.launch", *arguments], cwd=folder)
-    first = folder / "runs" / "smoke" / "checkpoints" / "10.safetensors"
+    first = folder / "runs" / "smoke" / "checkpoints" / "10"
     while not first.exists() and killed.poll() is None:
         time.sleep(0.05)
     os.kill(killed.pid, signal.SIGKILL)

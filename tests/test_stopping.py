@@ -163,8 +163,8 @@ def test_a_command_is_ended_in_every_phase(tmp_path, phase):
     assert child.poll() is None, log.read_text()
     os.killpg(child.pid, signal.SIGINT)
     began = time.monotonic()
-    assert child.wait(60) == 130 and time.monotonic() - began < 3
+    assert child.wait(60) == 130 and time.monotonic() - began < 6  # about one on quiet cores
     told = log.read_bytes().decode()
     line = told.split("\n")[-2].split("\r")[-1]
     assert line.startswith("flx: stopped by SIGINT; ") and kept in line
-    assert told.count("\n") <= 2 and "Traceback" not in told
+    assert told.count("\n") <= 3 and "Traceback" not in told  # the bar, the network, this line
