@@ -20,7 +20,7 @@ STEPS = 25  # evaluations of the network for a sample, unless given
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
-ADDED = ("draws", "emphasis")  # fields that records of earlier versions lack: their defaults are what was
+ADDED = {"draws": "uniform", "emphasis": 0.0}  # what records of earlier versions lack, and meant
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
 MOST_LAYERS, MOST_OTHER = 100, 1 << 20

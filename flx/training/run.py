@@ -19,7 +19,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from flx import __version__
-from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, from_json
+from flx.config import ADDED, Experiment, FLDMExperiment, FLVAEExperiment, from_json
 from flx.files import write_atomically
 
 # What each field that may change between calls does to the training; "" for nothing.
@@ -176,6 +176,8 @@ def _read(path: Path) -> dict[str, Any]:
             raise KeyError("kind, fingerprint or config")
         if "flx" not in record and record["kind"] == "FLDMExperiment":
             record["config"]["model"] |= {"latents": None, "invariants": None}  # they were not the codec's
+        if record["kind"] == "FLDMExperiment":
+            record["config"]["model"] = ADDED | record["config"]["model"]
     except (ValueError, KeyError, TypeError) as error:
         message = f"{path} does not record a run ({error}); restore it, or train under another --name"
         raise ValueError(message) from None

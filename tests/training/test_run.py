@@ -110,6 +110,18 @@ def test_harmless_changes_are_taken_and_said_where_they_count(tmp_path, capsys):
         )
 
 
+def test_a_record_without_later_fields_means_what_was(tmp_path):
+    path = open_run(tmp_path, demo, "ab12").config
+    record = json.loads(path.read_bytes())
+    del record["config"]["model"]["draws"], record["config"]["model"]["emphasis"]
+    path.write_text(json.dumps(record))
+    assert load_config(path.parent) == demo
+    other = dataclasses.replace(demo, model=dataclasses.replace(demo.model, draws="lognormal"))
+    with pytest.raises(ValueError, match=r"model.draws = uniform, not lognormal"):
+        open_run(tmp_path, other, "ab12")
+    assert load_config(open_run(tmp_path, demo, "ab12").folder) == demo
+
+
 def test_a_renamed_folder_is_the_same_run(tmp_path):
     write_atomically(open_run(tmp_path, demo, "ab12").metrics, b"step,loss\n")
     (tmp_path / "demo").rename(tmp_path / "kept")
