@@ -35,9 +35,9 @@ def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
 
     Raises ValueError for controls that it cannot follow.
     """
-    home = home_on(generator, asset, controls.scale)
     if asset.digest != generator.asset.digest and (controls.strength < 1 or controls.keep or controls.fill):
         raise ValueError(f"{asset.path} has no texture to stay near; leave strength, keep and fill out")
+    home = home_on(generator, asset, controls.scale)
     near = own_codes(generator, home.triangulation) if controls.strength < 1 else None
     kept = kept_texels(generator.asset, controls)
     held = kept and inpainting(generator, kept, home.triangulation)

@@ -31,8 +31,8 @@ from flx.pipeline.generator import (
 )
 from flx.stopping import keeping
 from flx.training.log import say
-from flx.training.loop import LossFn, restore, train
-from flx.training.run import Run, kept, open_run
+from flx.training.loop import LossFn, kept, restore, train
+from flx.training.run import Run, open_run
 from flx.training.run_asset import keep, read_copy, read_source, source_of
 from flx.types import MeshTables
 
@@ -103,9 +103,10 @@ def load_copies(
     cache = open_cache(run.prepared, asset, surface, codec)
     copies = prepare(cache, asset, surface, codec, workers)
     latents = [copy.latents for copy in copies]
-    scaling = latent_scaling(np.concatenate(latents), codec.config.invariants)
+    every = np.concatenate(latents)
+    scaling = latent_scaling(every, codec.config.invariants)
     if emphasis:
-        effects = codec.effects(np.concatenate(latents), scaling)
+        effects = codec.effects(every, scaling)
         scaling = emphasized(scaling, effects, emphasis, codec.config.invariants)
     scaled = np.stack([scaling.to_diffusion(z) for z in latents])
     home = Home(copies[0].triangulation, copies[0].tables)

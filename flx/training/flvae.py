@@ -11,8 +11,8 @@ from flx.models.codec.vae import FieldLatentVAE, flvae_loss
 from flx.pipeline.codec import Codec, initial_params, save_codec
 from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, PatchBatch, first_rings
 from flx.stopping import keeping
-from flx.training.loop import LossFn, train
-from flx.training.run import Run, kept, open_run
+from flx.training.loop import LossFn, kept, train
+from flx.training.run import Run, open_run
 
 
 def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:

@@ -139,6 +139,13 @@ def train(
         return state
 
 
+def kept(run: Run) -> str:
+    """What of a run an interruption keeps, and how to go on."""
+    step = Checkpoints(run.checkpoints).latest_step
+    saved = "no step is saved yet, what is prepared is kept" if step is None else f"saved at step {step}"
+    return f"{run.folder}: {saved}; the same command goes on from there"
+
+
 def _prefetch(batches: Batches, first: int, last: int, depth: int = 2) -> Generator[Any, None, None]:
     """The batches of steps [first, last) on the device, made `depth` ahead; raises what `batches` raises."""
     pool = ThreadPoolExecutor(1, thread_name_prefix="batches")

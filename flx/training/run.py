@@ -113,13 +113,6 @@ def only_trainer(run: Run) -> Iterator[None]:
         lock.release()
 
 
-def kept(run: Run) -> str:
-    """What of a run an interruption keeps, and how to go on."""
-    steps = [int(path.name) for path in run.checkpoints.glob("*") if path.name.isdigit()]
-    saved = f"saved at step {max(steps)}" if steps else "no step is saved yet, what is prepared is kept"
-    return f"{run.folder}: {saved}; the same command goes on from there"
-
-
 def _refuse_links(folder: Path) -> None:
     """Raise ValueError where there is a link in a run's folder, which may be a stranger's: what is written or
     cleared through it lies elsewhere."""
