@@ -1,6 +1,6 @@
 """All settings: frozen dataclasses with the paper's values as defaults.
 
-An experiment file makes one `FLVAEExperiment` or `FLDMExperiment` and names it `config`; the launcher
+An experiment file makes one of the three experiments (`Experiment`) and names it `config`; the launcher
 overrides single fields from the command line. A number out of its range is refused when it is set.
 """
 
@@ -20,7 +20,8 @@ STEPS = 25  # evaluations of the network for a sample, unless given
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
 
 
-ADDED = {"draws": "uniform", "emphasis": 0.0}  # what records of earlier versions lack, and meant
+# What records of earlier versions lack, and meant.
+ADDED = {"draws": "uniform", "emphasis": 0.0, "start": "random"}
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
 MOST_LAYERS, MOST_OTHER = 100, 1 << 20
@@ -178,6 +179,19 @@ class Train:
 
 
 @dataclass(frozen=True)
+class Sheets:
+    """Planar meshes laid on images, for a diffusion model that learns what all textures have in common."""
+
+    vertices: int = 5000  # of each
+    meshes: int = 12  # triangulations
+    pieces: int = 1200  # parts of images
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check("sheets", self, vertices=16, meshes=1, pieces=1, seed=0)
+
+
+@dataclass(frozen=True)
 class FLVAEExperiment:
     """Train a field-latent VAE on a folder of images."""
 
@@ -198,9 +212,24 @@ class FLDMExperiment:
     surface: Surface = field(default_factory=Surface)
     train: Train = field(default_factory=Train)
     weights: str | None = None  # an FL-VAE file; None: the released one
+    # Where the training begins: at random, at the released prior, or at the prior.safetensors of a run.
+    start: str = "random"
 
 
-Experiment = FLVAEExperiment | FLDMExperiment
+@dataclass(frozen=True)
+class PriorExperiment:
+    """Train a diffusion model on many images: a prior, where the training on a mesh can begin."""
+
+    name: str = "prior"
+    model: FLDM = field(default_factory=FLDM)
+    images: Images = field(default_factory=Images)
+    sheets: Sheets = field(default_factory=Sheets)
+    train: Train = field(default_factory=Train)
+    weights: str | None = None  # an FL-VAE file; None: the released one
+    start: str = "random"  # as of an FLDMExperiment: a prior may go on from another
+
+
+Experiment = FLVAEExperiment | FLDMExperiment | PriorExperiment
 
 
 @dataclass(frozen=True)
@@ -286,9 +315,16 @@ def read_config(path: Path) -> Experiment:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     config = getattr(module, "config", None)
-    if not isinstance(config, FLVAEExperiment | FLDMExperiment):
+    if not isinstance(config, Experiment):
         raise ValueError(f"{path} defines no experiment; add `config = FLDMExperiment(...)` to it")
     return config
+
+
+def with_added(kind: Any, value: dict[str, Any]) -> dict[str, Any]:
+    """The record of an experiment of class `kind`, with the fields that earlier versions lack (`ADDED`)."""
+    hints = get_type_hints(kind)
+    parts = {name: with_added(hints[name], v) for name, v in value.items() if is_dataclass(hints.get(name))}
+    return {f.name: ADDED[f.name] for f in fields(kind) if f.name in ADDED} | value | parts
 
 
 def from_json(kind: Any, value: Any, place: str) -> Any:

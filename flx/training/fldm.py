@@ -34,6 +34,7 @@ from flx.training.log import say
 from flx.training.loop import LossFn, kept, restore, train
 from flx.training.run import Run, open_run
 from flx.training.run_asset import keep, read_copy, read_source, source_of
+from flx.training.start import begun, check_start
 from flx.types import MeshTables
 
 
@@ -55,6 +56,7 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     codec = load_codec(experiment.weights)
     experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
     network = network_of(experiment.model)
+    prior = check_start(experiment.start, experiment.model, codec)
     asset = read_source(surface)
     fingerprint = hashlib.sha256((asset.digest + codec.digest()).encode()).hexdigest()
     run = open_run(root, experiment, fingerprint)
@@ -79,6 +81,8 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
 
     first = jax.tree.map(lambda a: a[0], copies)
     params = jax.jit(network.init)(jax.random.key(config.seed), *first, jnp.float32(1))
+    if prior:
+        params = begun(prior, params)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
     if not run.generator.exists():  # an earlier version trained it
         save(int(state.step), state.ema)

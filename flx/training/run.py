@@ -14,12 +14,12 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from filelock import FileLock, Timeout
 
 from flx import __version__
-from flx.config import ADDED, Experiment, FLDMExperiment, FLVAEExperiment, from_json
+from flx.config import Experiment, from_json, with_added
 from flx.files import write_atomically
 
 # What each field that may change between calls does to the training; "" for nothing.
@@ -33,7 +33,7 @@ STEERING = {
 }
 PLACES = ("surface.path", "surface.texture", "weights", "images.folder")  # the fingerprint says what is there
 OPEN = ("model.latents", "model.invariants", "model.blocks")  # left open by records without a version
-_KINDS = {kind.__name__: kind for kind in (FLVAEExperiment, FLDMExperiment)}
+_KINDS = {kind.__name__: kind for kind in get_args(Experiment)}
 
 
 @dataclass
@@ -169,8 +169,7 @@ def _read(path: Path) -> dict[str, Any]:
             raise KeyError("kind, fingerprint or config")
         if "flx" not in record and record["kind"] == "FLDMExperiment":
             record["config"]["model"] |= {"latents": None, "invariants": None}  # they were not the codec's
-        if record["kind"] == "FLDMExperiment":
-            record["config"]["model"] = ADDED | record["config"]["model"]
+        record["config"] = with_added(_KINDS[record["kind"]], record["config"])
     except (ValueError, KeyError, TypeError) as error:
         message = f"{path} does not record a run ({error}); restore it, or train under another --name"
         raise ValueError(message) from None
