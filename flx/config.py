@@ -6,10 +6,13 @@ overrides single fields from the command line. A number out of its range is refu
 
 import contextlib
 import importlib.util
+import math
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from flx.arguments import check_kind, number, whole
 
 Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
@@ -28,17 +31,27 @@ LAYERS = ("depth", "layers", "decoder_layers", "vn_layers")
 
 
 def _check(part: str, values: object, **least: int | float) -> None:
-    """Raises ValueError for a word that its field does not know, and for a number out of its range."""
+    """Raises ValueError for a word that its field does not know, for what is no number or no text where one
+    is needed, and for a number out of its range."""
     for name, kind in get_type_hints(type(values)).items():
-        choices, value = get_args(kind), getattr(values, name)
+        choices, value, place = get_args(kind), getattr(values, name), f"{part}.{name}"
         if get_origin(kind) is Literal and value not in choices:
-            raise ValueError(f"{part}.{name} is {value!r}; choose {' or '.join(choices)}")
-    for name, low in least.items():
-        if not getattr(values, name) >= low:
-            raise ValueError(f"{part}.{name} is {getattr(values, name)}; give at least {low}")
+            raise ValueError(f"{place} is {value!r}; choose {' or '.join(choices)}")
+        if kind is int:
+            whole(place, value, int(least.get(name, 0)))
+        elif kind is float:
+            number(place, value, least.get(name, -math.inf))
+        elif kind is str:
+            check_kind(place, value, str, "text")
+    for name in least:
         most = MOST_LAYERS if name in LAYERS else MOST_OTHER
         if part == "model" and getattr(values, name) > most:
             raise ValueError(f"{part}.{name} is {getattr(values, name)}; give at most {most:,}")
+
+
+def _are_blocks(values: object) -> bool:
+    fit = isinstance(values, tuple) and len(values) == 3
+    return fit and all(isinstance(count, int) and 0 <= count <= MOST_LAYERS for count in values)
 
 
 @dataclass(frozen=True)
@@ -108,8 +121,8 @@ class FLDM:
         _check("model", self, beta_start=0, beta_end=0, emphasis=0)
         if self.embedding % 2:
             raise ValueError(f"model.embedding is {self.embedding}; make it even, for cosines and sines")
-        if self.blocks and not all(0 <= count <= MOST_LAYERS for count in self.blocks):
-            raise ValueError(f"model.blocks is {self.blocks}; give three numbers of 0 to {MOST_LAYERS}")
+        if self.blocks is not None and not _are_blocks(self.blocks):
+            raise ValueError(f"model.blocks is {self.blocks!r}; give three numbers of 0 to {MOST_LAYERS}")
 
     @property
     def code_channels(self) -> tuple[int, int]:
@@ -242,7 +255,7 @@ class Comparison:
     atlases: bool = False  # also write each new row's texture
 
 
-def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
+def quick(path: str | Path = "", name: str = "demo") -> FLDMExperiment:
     """The settings of the demo: a mesh learnt at 5,000 vertices in about 11 minutes on two CPU cores.
 
     Args:
@@ -259,7 +272,7 @@ def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
     return FLDMExperiment(
         name=name,
         model=FLDM(predicts="velocity", draws="lognormal", emphasis=0.5, channels=48, precision="float32"),
-        surface=Surface(path=path, vertices=5000, copies=8),
+        surface=Surface(path=str(path), vertices=5000, copies=8),
         train=Train(
             steps=2400,
             batch=1,

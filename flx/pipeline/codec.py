@@ -14,6 +14,7 @@ import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Complex64, Float32
 
+from flx.arguments import check_kind, path_of
 from flx.config import FLVAE
 from flx.fields.diffusion import Scaling
 from flx.models.codec.vae import FieldLatentVAE
@@ -38,6 +39,9 @@ class Codec(NamedTuple):
 
     def encode(self, rings: RingSamples) -> Complex64[np.ndarray, "V D"]:
         """The mean code of each one-ring, in the frame of its vertex."""
+        check_kind("rings", rings, RingSamples, "the rings of a copy, such as flx.triangulate(asset).rings")
+        if (shape := np.shape(rings.logs))[1:] != (wanted := (self.config.samples,)):
+            raise ValueError(f"rings have {shape[1:]} samples; give {wanted[0]}, as flx.triangulate does")
         return _in_chunks(partial(_mean_code, self.config), self.params, rings, RINGS)
 
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
@@ -118,7 +122,9 @@ def load_codec(path: str | Path | None = None) -> Codec:
         codec = flx.load_codec()
         latents = codec.encode(flx.triangulate(asset, vertices=5000).rings)  # [5000, 8]
     """
-    path = Path(path) if path else RELEASED
+    path = (
+        RELEASED if path is None else path_of("path", path, "an FL-VAE file, or nothing for the released one")
+    )
     try:
         text, tensors = load_tensors(path, "flvae")
         config = FLVAE(**json.loads(text))

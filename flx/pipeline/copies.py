@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Complex64
 from tqdm import tqdm
 
-from flx.assets.asset import Asset
+from flx.arguments import whole
+from flx.assets.asset import Asset, check_asset
 from flx.config import Surface
 from flx.files import write_atomically
 from flx.geometry import copies
@@ -46,6 +47,9 @@ def triangulate(
         copy = flx.triangulate(asset, vertices=5000)
         latents = flx.load_codec().encode(copy.rings)  # [5000, 8], complex
     """
+    check_asset("asset", asset)
+    vertices, samples = whole("vertices", vertices, 4), whole("samples", samples, 1)
+    seed, slots = whole("seed", seed), whole("slots", slots, 4)
     copies.check_memory(vertices)
     return copies.make_copy(with_filled_gutters(asset.mesh), vertices, samples, slots, seed)
 
