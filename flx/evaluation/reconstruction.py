@@ -94,6 +94,7 @@ def reconstruction_table(options: Comparison) -> list[Row]:
             rings = sample_rings(mesh, triangulation, SAMPLES, options.seed)
             canvas = open_canvas(assets[path], triangulation, options.texture_size)
             for name in missing:
+                bar.set_postfix_str(f"{Path(path).name}, {count:,} vertices, {name}")
                 method = method_named(name)
                 began = time.monotonic()
                 baked = bake(canvas, method(Subject(mesh, triangulation, rings)))
