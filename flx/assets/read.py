@@ -10,6 +10,14 @@ from flx.assets.formats.files import BadFile
 from flx.assets.formats.readers import READERS, Contents, Reader
 from flx.types import SLOTS, Slot
 
+REST = f"; give one of {', '.join(READERS)}"
+BARE = " with colours: it holds triangles alone; paint it with `flx sample RUN --mesh`, or export it as GLB"
+OTHERS = {".stl": BARE, ".off": BARE}
+OTHERS |= dict.fromkeys(
+    (".fbx", ".blend", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".3ds", ".max", ".ma", ".mb"),
+    " that flx reads; export it as GLB",
+)
+
 
 def read_asset(
     path: str | Path, texture: str | Path | None = None, slots: Sequence[Slot] = ("base_color",)
@@ -48,7 +56,7 @@ def read_contents(path: Path, readers: Mapping[str, Reader] = READERS) -> Conten
         if not path.exists():
             raise FileNotFoundError(f"{path} does not exist; name a mesh file ({', '.join(readers)})")
         if reader is None or not path.is_file():
-            raise ValueError(f"{path} is not a mesh file; give one of {', '.join(readers)}")
+            raise ValueError(f"{path} is not a mesh file{OTHERS.get(path.suffix.lower(), REST)}")
         if path.stat().st_size == 0:
             raise ValueError(f"{path} is empty; export it again")
     except OSError as fault:

@@ -10,6 +10,7 @@ from PIL import Image
 from flx.arguments import briefly, check_kind, check_word, whole
 from flx.assets.asset import Asset, Painting, check_asset, check_painting, own_painting
 from flx.assets.formats.files import limit
+from flx.assets.tints import tinted
 from flx.geometry import render
 from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
 from flx.geometry.color import quantized, resized
@@ -196,15 +197,17 @@ def side_by_side(
     size: int = 384,
     own: Asset | None = None,
 ) -> UInt8[Any, "_ _ 3"]:
-    """Renders of the input and of each new texture in columns, a view in each row.
+    """Renders of the input and of each new texture in columns, as viewers show them, a view in each row.
 
     `own` is the input, if the asset is another mesh.
     """
-    meshes, own = [shown(asset, painting) for painting in paintings], own or asset
+    meshes, own = [tinted(asset, shown(asset, painting)) for painting in paintings], own or asset
     rows = []
     for view in VIEWS:
         first, others = (render.look(one.mesh, *view, size, up) for one in (own, asset))  # pyright: ignore
-        rows.append([render.show(first, own.mesh), *(render.show(others, mesh) for mesh in meshes)])
+        rows.append(
+            [render.show(first, tinted(own, own.mesh)), *(render.show(others, mesh) for mesh in meshes)]
+        )
     return render.contact_sheet(rows, ["input", *captions])
 
 

@@ -18,12 +18,10 @@ from flx.arguments import check_kind, path_of
 from flx.config import FLVAE
 from flx.fields.diffusion import Scaling
 from flx.models.codec.vae import FieldLatentVAE
-from flx.pipeline.tensors import load_tensors, one_line, save_tensors
+from flx.pipeline.tensors import save_tensors
+from flx.pipeline.weights import RELEASED, read_weights
 from flx.types import Queries, RingSamples
 
-WEIGHTS = Path(__file__).parent.parent / "weights"
-RELEASED = WEIGHTS / "flvae.safetensors"
-BARYCENTRIC = WEIGHTS / "barycentric.safetensors"  # a baseline, whose decoder interpolates invariants
 RINGS, VERTICES, POINTS = 4096, 65_536, 32_768  # one-rings encoded, codes expanded, points decoded at once
 
 
@@ -125,14 +123,7 @@ def load_codec(path: str | Path | None = None) -> Codec:
     path = (
         RELEASED if path is None else path_of("path", path, "an FL-VAE file, or nothing for the released one")
     )
-    try:
-        text, tensors = load_tensors(path, "flvae")
-        config = FLVAE(**json.loads(text))
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{path} holds no FL-VAE weights ({one_line(error)}); train some with "
-            "`flx train experiments/flvae.py`, or leave --weights out for the released ones"
-        ) from None
+    config, tensors = read_weights(path)
     if odd := odd_parameter(tensors, jax.eval_shape(lambda: initial_params(config, 0))):
         raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")
     return Codec(config, {"params": unflatten_dict(jax.tree.map(jnp.asarray, tensors), "/")})
