@@ -50,8 +50,8 @@ def _check(part: str, values: object, **least: int | float) -> None:
 
 
 def _are_blocks(values: object) -> bool:
-    fit = isinstance(values, tuple) and len(values) == 3
-    return fit and all(isinstance(count, int) and 0 <= count <= MOST_LAYERS for count in values)
+    counts = values if isinstance(values, tuple) else ()
+    return len(counts) == 3 and all(isinstance(n, int) and 0 <= n <= MOST_LAYERS for n in counts)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from flx.assets.formats.files import BadFile
 from flx.assets.formats.readers import READERS, Contents, Reader
 from flx.types import SLOTS, Slot
 
-REST = f"; give one of {', '.join(READERS)}"
 BARE = " with colours: it holds triangles alone; paint it with `flx sample RUN --mesh`, or export it as GLB"
 OTHERS = {".stl": BARE, ".off": BARE}
 OTHERS |= dict.fromkeys(
@@ -56,7 +55,8 @@ def read_contents(path: Path, readers: Mapping[str, Reader] = READERS) -> Conten
         if not path.exists():
             raise FileNotFoundError(f"{path} does not exist; name a mesh file ({', '.join(readers)})")
         if reader is None or not path.is_file():
-            raise ValueError(f"{path} is not a mesh file{OTHERS.get(path.suffix.lower(), REST)}")
+            what = OTHERS.get(path.suffix.lower(), f"; give one of {', '.join(readers)}")
+            raise ValueError(f"{path} is not a mesh file{what}")
         if path.stat().st_size == 0:
             raise ValueError(f"{path} is empty; export it again")
     except OSError as fault:

@@ -15,7 +15,7 @@ COPY_SECONDS = 1.6e-4  # per vertex of a copy: remeshing, tables and colours, tw
 STEP_SECONDS = {"vectors": 5.0e-7, "mixed": 2.7e-7}
 STEP_BYTES = 900  # memory, per the same
 BASE_BYTES = 600e6  # memory of JAX and of the mesh
-COMPILE_SECONDS = 45.0  # of the codec and of a training step; at most that, where compiled programs are kept
+COMPILE_SECONDS = 45.0  # of a training step, 38 to 59 measured; a few, where compiled programs are kept
 
 
 class Costs(NamedTuple):

@@ -274,7 +274,7 @@ def test_an_image_beside_a_mesh_that_names_none_is_proposed(tmp_path):
     assert read_asset(path, tmp_path / "a.png").textures
     (tmp_path / "b.png").write_bytes((tmp_path / "a.png").read_bytes())
     (tmp_path / "a.png").rename(tmp_path / "c.png")
-    with pytest.raises(ValueError, match="; pass --texture IMAGE$"):  # which of the two?
+    with pytest.raises(ValueError, match=r"; pass --texture IMAGE$"):  # which of the two?
         read_asset(path)
 
 
