@@ -13,7 +13,8 @@ from tyro.conf import Positional
 
 from flx.assets.assemble import faults_of
 from flx.assets.asset import Asset, Report
-from flx.assets.inspect import coverage, inside_out_components, ring_pixels
+from flx.assets.detail import Detail, detail, psnr_at, vertices_for
+from flx.assets.inspect import coverage, inside_out_components, ring_pixels, texel_counts
 from flx.assets.read import read_asset
 from flx.assets.tints import tints
 from flx.config import FLVAE, FLDMExperiment, quick, read_config
@@ -25,8 +26,8 @@ from flx.pipeline.weights import RELEASED, read_weights
 from flx.training.costs import Costs, costs_of
 from flx.types import SLOTS
 
-FINE_PIXELS = 75.0  # in a one-ring, a radius of 5 pixels: small letters are kept
-RING_PIXELS = (7.0, 450.0)  # in one-rings that the FL-VAE was trained on: 1.5 to 12 pixels from the vertex
+LEAST_PIXELS = 7.0  # in a one-ring, 1.5 from the vertex: the FL-VAE was trained on no fewer
+FINE, COARSE = 30.0, 25.0  # dB at which small letters are kept, and below which a warning is given
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,8 @@ class Findings(NamedTuple):
     covered_texels: float  # share of the textures that the surface shows
     overlapping_texels: float  # share of these that it shows more than once
     ring_pixels: RingPixels
-    enough_vertices: int | None  # for the details of the texture; None where that has none
+    kept_psnr: float | None  # of the texture by the plan's vertices, in dB; None where it has no detail
+    enough_vertices: int | None  # to keep it at `FINE` dB
     kept_maps: tuple[str, ...]  # slots of other maps, which stay as they are
     tints: tuple[str, ...]  # materials whose texture viewers multiply, with the factor
     plan: Costs
@@ -89,13 +91,16 @@ class Findings(NamedTuple):
 
 def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
     """What a run of `experiment` would meet on the asset, in addition to the repairs of reading it."""
-    covered, overlapping = coverage(asset)
+    counts = texel_counts(asset)
+    covered, overlapping = coverage(asset, counts)
+    lost = detail(asset, counts)
     flat = np.array([texture.flat for texture in asset.textures] or [True])[asset.mesh.face_textures]
     pixels = ring_pixels(asset, ~flat, experiment.surface.vertices)
     inside_out = inside_out_components(asset)
     plan = costs_of(experiment)
     warnings = (
         *_warnings(asset.report, experiment.surface.vertices, pixels, overlapping, inside_out),
+        *_losses(lost, experiment.surface.vertices),
         *_shortages(plan),
     )
     return Findings(
@@ -104,7 +109,8 @@ def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
         covered_texels=covered,
         overlapping_texels=overlapping,
         ring_pixels=pixels,
-        enough_vertices=None if pixels is None else _enough(experiment.surface.vertices, pixels[1]),
+        kept_psnr=round(psnr_at(lost, experiment.surface.vertices), 1) if lost else None,
+        enough_vertices=_enough(lost) if lost else None,
         kept_maps=tuple(slot.replace("_", " ") for slot in SLOTS if asset.map_names.get(slot)),
         tints=tuple(f"{tint.name} × {' '.join(f'{x:g}' for x in tint.factor)}" for tint in tints(asset)),
         plan=plan,
@@ -117,18 +123,14 @@ def _warnings(
     report: Report, vertices: int, pixels: RingPixels, overlapping: float, inside_out: int
 ) -> tuple[str, ...]:
     flat, components = report.flat_uv_faces, report.components
-    median = pixels[1] if pixels else RING_PIXELS[0]
-    ring, enough = f"{median:,.0f} texture pixels in a one-ring", _enough(vertices, median)
+    median = pixels[1] if pixels else LEAST_PIXELS
+    ring = f"{median:,.0f} texture pixels in a one-ring"
     kinds = f"{report.materials:,} materials" if report.materials > 1 else f"{report.parts:,} parts"
     found = (
         (overlapping > 0.01, f"{overlapping:.1%} of texels show more than once: those places share a colour"),
         (flat > 0, f"{flat:,} faces have no area on the texture: they show as a streak"),
         (inside_out > 0, f"{inside_out:,} components are inside out; flip their faces"),
-        (median < RING_PIXELS[0], f"only {ring}: fewer vertices would give the same result"),
-        (
-            median > RING_PIXELS[1],
-            f"{ring}: details are lost; about {enough:,} vertices would do (--surface.vertices of flx train)",
-        ),
+        (median < LEAST_PIXELS, f"only {ring}: fewer vertices would give the same result"),
         (
             max(report.materials, report.parts) > 1,
             f"{kinds} are learnt as one texture: they will mix; to keep them apart, learn each alone",
@@ -141,10 +143,20 @@ def _warnings(
     return tuple(text for holds, text in found if holds)
 
 
-def _enough(vertices: int, pixels: float) -> int:
-    """With how many vertices a one-ring has `FINE_PIXELS`, where it has so many now; two digits."""
-    wanted = max(4.0, vertices * pixels / FINE_PIXELS)
+def _enough(lost: Detail) -> int:
+    """With how many vertices the texture is kept at `FINE` dB, to two digits."""
+    wanted = float(np.clip(vertices_for(lost, FINE), 100, 1e6))
     return int(round(wanted, 1 - int(np.log10(wanted))))
+
+
+def _losses(lost: Detail, vertices: int) -> list[str]:
+    """What the vertices of a plan cannot keep."""
+    if not lost or (psnr := psnr_at(lost, vertices)) >= COARSE:
+        return []
+    return [
+        f"{vertices:,} vertices keep the texture at about {psnr:.0f} dB: small details are lost; about "
+        f"{_enough(lost):,} would keep {FINE:.0f} dB (--surface.vertices of flx train)"
+    ]
 
 
 def _shortages(plan: Costs) -> list[str]:
@@ -224,7 +236,9 @@ def _describe_findings(findings: Findings) -> list[tuple[str, str]]:
         low, median, high = findings.ring_pixels
         spread = f"{median:,.0f} (5 %: {low:,.0f}, 95 %: {high:,.0f}) at {plan.vertices:,} vertices"
         lines.append(("pixels in a one-ring", spread))
-        lines.append(("vertices for small details", f"about {findings.enough_vertices:,}"))
+    if findings.kept_psnr is not None:
+        enough = f"{FINE:.0f} dB take about {findings.enough_vertices:,} vertices"
+        lines.append(("texture kept, about", f"{findings.kept_psnr:.0f} dB; {enough}"))
     if findings.kept_maps:
         names = ", ".join(findings.kept_maps)
         lines.append(("other maps", f"{names}: kept as they are, so they will not follow new colours"))

@@ -241,3 +241,17 @@ def test_maps_that_do_not_follow_new_colours_and_factors_are_told(tmp_path):
     factor = at("materials", 0, "pbrMetallicRoughness", "baseColorFactor", to=[0.5, 0.25, 1, 1])(tmp_path)
     findings = examined(read_asset(factor))
     assert len(findings.tints) == 1 and findings.tints[0].endswith(" × 0.5 0.25 1")
+
+
+def test_a_plan_that_loses_details_is_told_how_many_vertices_would_keep_them(tmp_path):
+    asset = square(tmp_path, 0.5, scale=1.0)
+    assert examined(asset).enough_vertices is None  # of one colour
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    Image.fromarray(noise).resize((512, 512)).save(tmp_path / "a.png")
+    findings = examined(read_asset(tmp_path / "a.obj"), FLDMExperiment(surface=Surface(vertices=50)))
+    assert findings.kept_psnr is not None and findings.kept_psnr < 25 and findings.enough_vertices
+    told = next(text for text in findings.warnings if "small details are lost" in text)
+    assert f"about {findings.enough_vertices:,} would keep 30 dB (--surface.vertices" in told
+    enough = FLDMExperiment(surface=Surface(vertices=findings.enough_vertices))
+    again = examined(read_asset(tmp_path / "a.obj"), enough)
+    assert again.kept_psnr == pytest.approx(30, abs=0.5) and not any("lost" in t for t in again.warnings)
