@@ -101,7 +101,7 @@ class FLDM:
     latents: int | None = None
     invariants: int | None = None
     channels: int = 96  # of the fine level; the coarse level has twice as many
-    filter: Filter = "harmonic"  # ours, twice as fast; "mlp" is the paper's
+    filter: Filter = "harmonic"  # Of the convolutions: "harmonic" is ours, twice as fast; "mlp" the paper's.
     filter_width: int = 8  # channels inside the filter
     vn_layers: int = 3  # layers of each VN MLP
     embedding: int = 128  # width of the scalar embedding π
@@ -111,7 +111,7 @@ class FLDM:
     # Steps t that training draws: the paper's; ours, most of them where shapes are decided.
     draws: Literal["uniform", "lognormal"] = "uniform"
     emphasis: float = 0.0  # of channels that show: scales are multiplied by (effect on colours)^emphasis
-    steps: int = 1000  # T
+    steps: int = 1000  # T, the steps of the noise schedule; not those of the training.
     beta_start: float = 1e-4  # linear schedule: ᾱ_T = 4e-5
     beta_end: float = 2e-2
     precision: Precision = "bfloat16"
@@ -141,10 +141,10 @@ class Surface:
 
     path: str = ""  # a .glb, .gltf, .obj or .ply file; empty: the vase that flx makes itself
     texture: str | None = None  # an image to use instead of the file's own
-    vertices: int = 30_000
-    copies: int = 500  # independent triangulations
+    vertices: int = 30_000  # Vertices of each copy: more for finer detail, and more time.
+    copies: int = 500  # Independent triangulations of the mesh.
     slots: int = 16  # most neighbours of a vertex, itself included
-    up: Literal["y", "z"] = "y"  # for the pictures only
+    up: Literal["y", "z"] = "y"  # The axis that points up in the pictures.
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -171,16 +171,16 @@ class Images:
 class Train:
     """The optimiser and the rhythm of a run."""
 
-    steps: int = 300_000
-    batch: int = 16  # mesh copies, or patches of 24 one-rings
+    steps: int = 300_000  # Steps of the training: more for a better texture, and more time.
+    batch: int = 16  # Mesh copies in a step; for an FL-VAE, patches of 24 one-rings.
     optimizer: Literal["adam", "muon"] = "adam"  # the paper's; ours for short trainings
     learning_rate: float = 1e-3  # cosine to `final_learning_rate`
     final_learning_rate: float = 1e-5
     warmup: int = 0  # steps; at most half of all
     clip: float = 0.0  # largest norm of the gradient; 0: no limit
-    ema: float = 0.999
-    checkpoint_every: int = 1000
-    log_every: int = 50
+    ema: float = 0.999  # How slowly the averaged weights, which sampling uses, follow; less than 1.
+    checkpoint_every: int = 1000  # Steps between checkpoints.
+    log_every: int = 50  # Steps between rows of metrics.csv.
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -206,11 +206,11 @@ class FLVAEExperiment:
 class FLDMExperiment:
     """Train a field-latent diffusion model on one textured mesh."""
 
-    name: str = "fldm"
-    model: FLDM = field(default_factory=FLDM)
-    surface: Surface = field(default_factory=Surface)
+    name: str = "fldm"  # The run's folder is runs/NAME.
+    surface: Surface = field(default_factory=Surface)  # first, as `--help` has it: what a beginner sets
     train: Train = field(default_factory=Train)
-    weights: str | None = None  # an FL-VAE file; None: the released one
+    model: FLDM = field(default_factory=FLDM)
+    weights: str | None = None  # An FL-VAE file to use instead of the released one.
 
 
 Experiment = FLVAEExperiment | FLDMExperiment
