@@ -28,7 +28,7 @@ def detail(asset: Asset, counts: dict[int, Int[Any, "_ _"]]) -> Detail:
     images = []
     for index, counted in counts.items():
         colors = resized(asset.mesh.textures[index], *counted.shape)
-        images.append((np.float32(colors) / 255, np.float32(counted > 0)[..., None]))
+        images.append((colors.astype(np.float32) / 255, (counted > 0).astype(np.float32)[..., None]))
     found = []
     for side in BLOCKS:
         errors = texels = 0.0
