@@ -6,10 +6,13 @@ overrides single fields from the command line. A number out of its range is refu
 
 import contextlib
 import importlib.util
+import math
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from flx.arguments import check_kind, number, whole
 
 Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
@@ -29,17 +32,27 @@ LAYERS = ("depth", "layers", "decoder_layers", "vn_layers")
 
 
 def _check(part: str, values: object, **least: int | float) -> None:
-    """Raises ValueError for a word that its field does not know, and for a number out of its range."""
+    """Raises ValueError for a word that its field does not know, for what is no number or no text where one
+    is needed, and for a number out of its range."""
     for name, kind in get_type_hints(type(values)).items():
-        choices, value = get_args(kind), getattr(values, name)
+        choices, value, place = get_args(kind), getattr(values, name), f"{part}.{name}"
         if get_origin(kind) is Literal and value not in choices:
-            raise ValueError(f"{part}.{name} is {value!r}; choose {' or '.join(choices)}")
-    for name, low in least.items():
-        if not getattr(values, name) >= low:
-            raise ValueError(f"{part}.{name} is {getattr(values, name)}; give at least {low}")
+            raise ValueError(f"{place} is {value!r}; choose {' or '.join(choices)}")
+        if kind is int:
+            whole(place, value, int(least.get(name, 0)))
+        elif kind is float:
+            number(place, value, least.get(name, -math.inf))
+        elif kind is str:
+            check_kind(place, value, str, "text")
+    for name in least:
         most = MOST_LAYERS if name in LAYERS else MOST_OTHER
         if part == "model" and getattr(values, name) > most:
             raise ValueError(f"{part}.{name} is {getattr(values, name)}; give at most {most:,}")
+
+
+def _are_blocks(values: object) -> bool:
+    counts = values if isinstance(values, tuple) else ()
+    return len(counts) == 3 and all(isinstance(n, int) and 0 <= n <= MOST_LAYERS for n in counts)
 
 
 @dataclass(frozen=True)
@@ -89,7 +102,7 @@ class FLDM:
     latents: int | None = None
     invariants: int | None = None
     channels: int = 96  # of the fine level; the coarse level has twice as many
-    filter: Filter = "harmonic"  # ours, twice as fast; "mlp" is the paper's
+    filter: Filter = "harmonic"  # Of the convolutions: "harmonic" is ours, twice as fast; "mlp" the paper's.
     filter_width: int = 8  # channels inside the filter
     vn_layers: int = 3  # layers of each VN MLP
     embedding: int = 128  # width of the scalar embedding π
@@ -99,7 +112,7 @@ class FLDM:
     # Steps t that training draws: the paper's; ours, most of them where shapes are decided.
     draws: Literal["uniform", "lognormal"] = "uniform"
     emphasis: float = 0.0  # of channels that show: scales are multiplied by (effect on colours)^emphasis
-    steps: int = 1000  # T
+    steps: int = 1000  # T, the steps of the noise schedule; not those of the training.
     beta_start: float = 1e-4  # linear schedule: ᾱ_T = 4e-5
     beta_end: float = 2e-2
     precision: Precision = "bfloat16"
@@ -109,8 +122,8 @@ class FLDM:
         _check("model", self, beta_start=0, beta_end=0, emphasis=0)
         if self.embedding % 2:
             raise ValueError(f"model.embedding is {self.embedding}; make it even, for cosines and sines")
-        if self.blocks and not all(0 <= count <= MOST_LAYERS for count in self.blocks):
-            raise ValueError(f"model.blocks is {self.blocks}; give three numbers of 0 to {MOST_LAYERS}")
+        if self.blocks is not None and not _are_blocks(self.blocks):
+            raise ValueError(f"model.blocks is {self.blocks!r}; give three numbers of 0 to {MOST_LAYERS}")
 
     @property
     def code_channels(self) -> tuple[int, int]:
@@ -129,10 +142,10 @@ class Surface:
 
     path: str = ""  # a .glb, .gltf, .obj or .ply file; empty: the vase that flx makes itself
     texture: str | None = None  # an image to use instead of the file's own
-    vertices: int = 30_000
-    copies: int = 500  # independent triangulations
+    vertices: int = 30_000  # Vertices of each copy: more for finer detail, and more time.
+    copies: int = 500  # Independent triangulations of the mesh.
     slots: int = 16  # most neighbours of a vertex, itself included
-    up: Literal["y", "z"] = "y"  # for the pictures only
+    up: Literal["y", "z"] = "y"  # The axis that points up in the pictures.
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -159,16 +172,16 @@ class Images:
 class Train:
     """The optimiser and the rhythm of a run."""
 
-    steps: int = 300_000
-    batch: int = 16  # mesh copies, or patches of 24 one-rings
+    steps: int = 300_000  # Steps of the training: more for a better texture, and more time.
+    batch: int = 16  # Mesh copies in a step; for an FL-VAE, patches of 24 one-rings.
     optimizer: Literal["adam", "muon"] = "adam"  # the paper's; ours for short trainings
     learning_rate: float = 1e-3  # cosine to `final_learning_rate`
     final_learning_rate: float = 1e-5
     warmup: int = 0  # steps; at most half of all
     clip: float = 0.0  # largest norm of the gradient; 0: no limit
-    ema: float = 0.999
-    checkpoint_every: int = 1000
-    log_every: int = 50
+    ema: float = 0.999  # How slowly the averaged weights, which sampling uses, follow; less than 1.
+    checkpoint_every: int = 1000  # Steps between checkpoints.
+    log_every: int = 50  # Steps between rows of metrics.csv.
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -207,13 +220,13 @@ class FLVAEExperiment:
 class FLDMExperiment:
     """Train a field-latent diffusion model on one textured mesh."""
 
-    name: str = "fldm"
-    model: FLDM = field(default_factory=FLDM)
-    surface: Surface = field(default_factory=Surface)
+    name: str = "fldm"  # The run's folder is runs/NAME.
+    surface: Surface = field(default_factory=Surface)  # first, as `--help` has it: what a beginner sets
     train: Train = field(default_factory=Train)
-    weights: str | None = None  # an FL-VAE file; None: the released one
-    # Where the training begins: at random, at the released prior, or at the prior.safetensors of a run.
+    # Where to begin: random, released (what many images taught), or the prior.safetensors of a run.
     start: str = "random"
+    model: FLDM = field(default_factory=FLDM)
+    weights: str | None = None  # An FL-VAE file to use instead of the released one.
 
 
 @dataclass(frozen=True)
@@ -271,7 +284,7 @@ class Comparison:
     atlases: bool = False  # also write each new row's texture
 
 
-def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
+def quick(path: str | Path = "", name: str = "demo") -> FLDMExperiment:
     """The settings of the demo: a mesh learnt at 5,000 vertices in about 11 minutes on two CPU cores.
 
     Args:
@@ -288,7 +301,7 @@ def quick(path: str = "", name: str = "demo") -> FLDMExperiment:
     return FLDMExperiment(
         name=name,
         model=FLDM(predicts="velocity", draws="lognormal", emphasis=0.5, channels=48, precision="float32"),
-        surface=Surface(path=path, vertices=5000, copies=8),
+        surface=Surface(path=str(path), vertices=5000, copies=8),
         train=Train(
             steps=2400,
             batch=1,

@@ -1,6 +1,7 @@
 """What this machine gives to this process: processors and memory."""
 
 import os
+import shutil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,14 @@ def processors() -> int:
     if hasattr(os, "process_cpu_count"):  # from Python 3.13 on
         return os.process_cpu_count() or 1  # pyright: ignore[reportAttributeAccessIssue]
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def room(folder: Path = Path()) -> float | None:
+    """Free bytes on the disk of a folder; None where the system does not say."""
+    try:
+        return float(shutil.disk_usage(folder).free)
+    except OSError:
+        return None
 
 
 def memory() -> Memory | None:

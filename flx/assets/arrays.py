@@ -8,8 +8,9 @@ from jaxtyping import Float64, Int, Num
 from numpy.typing import ArrayLike
 from PIL import Image
 
+from flx.arguments import briefly, check_kind
 from flx.assets.assemble import FARTHEST, assemble, faults_of
-from flx.assets.asset import Asset, Painting, own_painting
+from flx.assets.asset import Asset, Painting, check_asset, check_painting, own_painting
 from flx.assets.formats.files import read_file
 from flx.assets.formats.images import open_image
 from flx.assets.formats.obj import split_corners
@@ -47,6 +48,7 @@ def from_arrays(
     Example:
         asset = flx.from_arrays(vertices, faces, uvs, image=np.asarray(Image.open("bowl.png")))
     """
+    check_kind("name", name, str, "text, such as 'bowl'")
     points, triangles = _numbers(vertices, "vertices", ("N", 3)), _faces(faces)
     if not len(triangles) or not len(points):
         raise ValueError(f"{len(points)} vertices and {len(triangles)} faces; give at least one triangle")
@@ -63,8 +65,7 @@ def from_arrays(
         raise ValueError("give an image together with uvs, or colors")
     rows, coordinates, corners = np.arange(len(points)), None, triangles
     if uvs is not None:
-        coordinates = np.asarray(uvs)
-        per_corner = coordinates.ndim == 3
+        per_corner = _array(uvs, "uvs", (len(points), 2)).ndim == 3
         coordinates = _numbers(uvs, "uvs", (len(triangles), 3, 2) if per_corner else (len(points), 2))
         _check_rows(coordinates, "uvs")
         if per_corner:
@@ -81,12 +82,20 @@ def from_arrays(
 
 def _numbers(values: ArrayLike, what: str, shape: Shape) -> Float64[Any, "..."]:
     """The values as float64, in this shape."""
+    given = _array(values, what, shape)
+    if given.dtype.kind not in "iuf":
+        raise ValueError(f"{what} is not an array of numbers (but {given.dtype}); give {_words(shape)}")
+    _check_shape(given, what, shape)
+    return given.astype(np.float64)
+
+
+def _array(values: ArrayLike, what: str, shape: Shape) -> np.ndarray:
+    """The values as an array. Raises ValueError where their rows differ in length."""
     try:
-        array = np.asarray(values, np.float64)
-    except (TypeError, ValueError) as fault:
+        return np.asarray(values)
+    except (TypeError, ValueError):
+        fault = "rows of different lengths"
         raise ValueError(f"{what} is not an array of numbers ({fault}); give {_words(shape)}") from None
-    _check_shape(array, what, shape)
-    return array
 
 
 def _check_shape(array: Num[Any, "..."], what: str, shape: Shape) -> None:
@@ -100,8 +109,9 @@ def _words(shape: Shape) -> str:
 
 
 def _faces(faces: ArrayLike) -> Int[Any, "F 3"]:
-    numbers = _numbers(faces, "faces", ("N", 3)) if len(np.shape(faces)) != 1 else np.zeros((0, 3))
-    whole = numbers.astype(np.int64)
+    given = _array(faces, "faces", ("N", 3))
+    numbers = np.zeros((0, 3)) if given.shape == (0,) else _numbers(given, "faces", ("N", 3))
+    whole = np.where(np.abs(numbers) < 2**53, numbers, -0.5).astype(np.int64)
     if (whole != numbers).any():
         face = int((whole != numbers).any(1).argmax())
         raise ValueError(f"faces[{face}] is {numbers[face].tolist()}; give indices of vertices, from 0")
@@ -117,13 +127,16 @@ def _check_rows(rows: Float64[Any, "..."], what: str) -> None:
 
 def _colors(values: ArrayLike, what: str, shape: Shape) -> Num[Any, "..."]:
     """uint8 unchanged, or float64 in [0, 1]."""
-    given = np.asarray(values) if isinstance(values, np.ndarray) else _numbers(values, what, shape)
-    _check_shape(given, what, shape)
-    if not given.size:
-        raise ValueError(f"{what} has shape {list(given.shape)}; give at least one pixel")
-    if given.dtype == np.uint8:
-        return given
-    numbers = given.astype(np.float64)
+    given = _array(values, what, shape)
+    if given.dtype == np.uint8 and isinstance(values, np.ndarray):
+        _check_shape(given, what, shape)
+        numbers = given
+    else:
+        numbers = _numbers(given, what, shape)
+    if not numbers.size:
+        raise ValueError(f"{what} has shape {list(numbers.shape)}; give at least one pixel")
+    if numbers.dtype == np.uint8:
+        return numbers
     wrong = ~(np.abs(numbers - 0.5) <= 0.5)
     if wrong.any():
         raise ValueError(f"{what} has the value {numbers[wrong][0]:g}; give uint8, or numbers from 0 to 1")
@@ -142,7 +155,9 @@ def from_trimesh(mesh: "trimesh.Trimesh", name: str = "mesh") -> Asset:
     Example:
         asset = flx.from_trimesh(trimesh.load_mesh("bowl.off"), name="bowl")
     """
-    visual: Any = mesh.visual
+    visual: Any = getattr(mesh, "visual", None)
+    if visual is None or not hasattr(visual, "kind"):
+        raise ValueError(f"mesh is {briefly(mesh)}; give a Trimesh, such as trimesh.load_mesh returns")
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if visual.kind == "texture":
         material = visual.material
@@ -175,6 +190,9 @@ def to_trimesh(asset: Asset, painting: Painting | None = None) -> "trimesh.Trime
     from trimesh.visual import ColorVisuals, TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
+    check_asset("asset", asset)
+    if painting is not None:
+        check_painting("painting", painting)
     if len(asset.textures) > 1:
         raise ValueError(f"{asset.path} has {len(asset.textures)} textures, a Trimesh one; write a GLB")
     points, faces = stacked(asset.parts)

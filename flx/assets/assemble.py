@@ -29,6 +29,7 @@ from flx.types import Layer, Slot, TexturedMesh
 
 FARTHEST = 1e30  # the largest coordinate: its cube is still finite
 SMALLEST = 1e-20  # the smallest size of a mesh: areas of its faces can still be pictured
+UNWRAP = "unwrap it in a 3D program such as Blender, or give its vertices colours"
 MOST_TILES = 100.0  # how many times the surface may cover its textures
 
 
@@ -141,7 +142,7 @@ def _choose_images(contents: Contents, override: Path | None, slots: Sequence[Sl
         for slot, names in wanted.items():
             if part.material in names and contents.slot_uvs(part, slot) is None:
                 what = "a texture" if slot == "base_color" else f"a {slot} map"
-                raise ValueError(f"{part.name!r} has {what} but no texture coordinates; unwrap it first")
+                raise ValueError(f"{part.name!r} has {what} but no texture coordinates; {UNWRAP}")
     base = list(dict.fromkeys(wanted["base_color"].values()))
     encoded: dict[str, bytes | Picture] = {}
     for name in dict.fromkeys(name for names in wanted.values() for name in names.values()):
@@ -180,7 +181,10 @@ def _decoded(
     if not wanted and any(part.colors is not None for part in contents.parts):
         return Choice([], [], {})
     if not wanted:
-        raise ValueError(f"no texture and no vertex colours ({contents.hint}); pass --texture IMAGE")
+        if any(part.uvs is None for part in contents.parts):
+            raise ValueError(f"no texture, no vertex colours and no texture coordinates; {UNWRAP}")
+        here = f"--texture {contents.beside}, which lies here" if contents.beside else "--texture IMAGE"
+        raise ValueError(f"no texture and no vertex colours ({contents.hint}); pass {here}")
     names, images, textures = list(dict.fromkeys(wanted.values())), [], []
     for name in names:
         content, kind = encoded[name], ""

@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Int, UInt, UInt8
 
+from flx.arguments import check_kind
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.obj_source import ObjSource
 from flx.assets.formats.parts import Paint, Part
@@ -95,6 +96,20 @@ class Painting(NamedTuple):
     def images(self) -> Images:
         """The base colour images."""
         return self.maps.get("base_color", ())
+
+
+def check_asset(name: str, asset: object) -> None:
+    """Raises ValueError where an argument is not an asset."""
+    check_kind(name, asset, Asset, 'an Asset, such as flx.load("bowl.glb") returns')
+
+
+def check_painting(name: str, painting: object) -> None:
+    """Raises ValueError where an argument is not a painting, or has a colour that is not a number."""
+    check_kind(name, painting, Painting, "a Painting, such as flx.paint returns")
+    colors = painting.colors  # pyright: ignore[reportAttributeAccessIssue]
+    if not np.isfinite(colors).all():
+        row = int((~np.isfinite(colors)).any(1).argmax())
+        raise ValueError(f"{name}.colors[{row}] is {colors[row].tolist()}; give numbers from 0 to 1")
 
 
 def own_painting(asset: Asset) -> Painting:

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from flx.assets.asset import Asset
 from flx.assets.formats import gltf
@@ -49,9 +49,9 @@ def _other_map(asset: Asset, slot: Slot, name: str) -> OtherMap:
         return OtherMap(slot, name, 0, 0, 0)
 
 
-def coverage(asset: Asset) -> tuple[float, float]:
-    """The share of texels that the surface uses, and of these the share that it uses more than once."""
-    mesh, shown, doubled, texels = asset.mesh, 0, 0, 0
+def texel_counts(asset: Asset) -> dict[int, Int[Any, "_ _"]]:
+    """How many faces show each texel, for each texture that is not flat, on a raster of at most 1,024²."""
+    mesh, counted = asset.mesh, {}
     areas = np.abs(uv_areas(mesh))
     for index, (image, texture) in enumerate(zip(mesh.textures, asset.textures, strict=True)):
         if texture.flat:
@@ -68,9 +68,15 @@ def coverage(asset: Asset) -> tuple[float, float]:
             own = barycentrics(triangles, columns, rows).min(0) > WITHIN
             place = rows[own] % height * width + columns[own] % width
             counts += np.bincount(place, minlength=len(counts))
-        shown, doubled = shown + int((counts > 0).sum()), doubled + int((counts > 1).sum())
-        texels += len(counts)
-    return shown / max(texels, 1), doubled / max(shown, 1)
+        counted[index] = counts.reshape(height, width)
+    return counted
+
+
+def coverage(asset: Asset, counts: dict[int, Int[Any, "_ _"]] | None = None) -> tuple[float, float]:
+    """The share of texels that the surface uses, and of these the share that it uses more than once."""
+    every = (texel_counts(asset) if counts is None else counts).values()
+    shown, doubled = (sum(int((one > least).sum()) for one in every) for least in (0, 1))
+    return shown / max(sum(one.size for one in every), 1), doubled / max(shown, 1)
 
 
 def inside_out_components(asset: Asset) -> int:

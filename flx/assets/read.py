@@ -3,11 +3,19 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from flx.arguments import check_word, path_of
 from flx.assets.assemble import assemble, faults_of
 from flx.assets.asset import Asset
 from flx.assets.formats.files import BadFile
 from flx.assets.formats.readers import READERS, Contents, Reader
-from flx.types import Slot
+from flx.types import SLOTS, Slot
+
+BARE = " with colours: it holds triangles alone; paint it with `flx sample RUN --mesh`, or export it as GLB"
+OTHERS = {".stl": BARE, ".off": BARE}
+OTHERS |= dict.fromkeys(
+    (".fbx", ".blend", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".3ds", ".max", ".ma", ".mb"),
+    " that flx reads; export it as GLB",
+)
 
 
 def read_asset(
@@ -28,10 +36,16 @@ def read_asset(
         asset = flx.load("bowl.obj", texture="bowl.png")
         print(asset.report.vertices, asset.report.textures)
     """
-    path = Path(path)
+    path = path_of("path", path, "a mesh file, such as 'bowl.glb'")
+    if texture is not None:
+        texture = path_of("texture", texture, "an image file, such as 'bowl.png'")
+    if isinstance(slots, str):
+        raise ValueError(f"slots is {slots!r}; give a list, [{slots!r}]")
+    for slot in slots:
+        check_word("slots", slot, SLOTS)
     contents = read_contents(path)
     with faults_of(path):
-        return assemble(path, contents, None if texture is None else Path(texture), slots)
+        return assemble(path, contents, texture, slots)
 
 
 def read_contents(path: Path, readers: Mapping[str, Reader] = READERS) -> Contents:
@@ -41,7 +55,8 @@ def read_contents(path: Path, readers: Mapping[str, Reader] = READERS) -> Conten
         if not path.exists():
             raise FileNotFoundError(f"{path} does not exist; name a mesh file ({', '.join(readers)})")
         if reader is None or not path.is_file():
-            raise ValueError(f"{path} is not a mesh file; give one of {', '.join(readers)}")
+            what = OTHERS.get(path.suffix.lower(), f"; give one of {', '.join(readers)}")
+            raise ValueError(f"{path} is not a mesh file{what}")
         if path.stat().st_size == 0:
             raise ValueError(f"{path} is empty; export it again")
     except OSError as fault:

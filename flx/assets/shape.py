@@ -9,11 +9,12 @@ import io
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import UInt8
 
+from flx.arguments import check_word, path_of
 from flx.assets.assemble import assemble, faults_of
 from flx.assets.asset import Asset, Format
 from flx.assets.formats import glb
@@ -49,7 +50,8 @@ def read_shape(path: str | Path, format: Format = "glb") -> Asset:
         painting = next(flx.generate(generator, asset=shape))
         flx.save(shape, painting, "other.glb")
     """
-    path = Path(path)
+    path = path_of("path", path, "a mesh file, such as 'bowl.glb'")
+    check_word("format", format, get_args(Format))
     contents = read_contents(path, SHAPES)
     charted, fault = (None, "") if format == "ply" else _charted(path, contents)
     if charted and not fault:

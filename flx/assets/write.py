@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, Num, UInt8
 
-from flx.assets.asset import Asset, Images, Painting, own_painting
+from flx.arguments import path_of
+from flx.assets.asset import Asset, Images, Painting, check_asset, check_painting, own_painting
 from flx.assets.formats import glb, obj_source
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.images import encode_png
@@ -24,6 +25,7 @@ from flx.files import write_atomically
 from flx.geometry.color import quantized
 from flx.types import Slot
 
+SUFFIXES = (".glb", ".obj", ".ply")
 BLOCK = 1 << 14  # rows written at a time
 
 
@@ -37,13 +39,19 @@ def write(asset: Asset, painting: Painting, path: str | Path) -> None:
         path: The suffix chooses the format: .glb; .obj, with an MTL and a PNG for each painted texture next
             to it; .ply, for colours of vertices alone.
 
-    Raises ValueError where the format cannot hold the painting, where an image is missing, and where an OBJ
-    would overwrite a file of the asset.
+    Raises ValueError for another suffix, where the format cannot hold the painting, where an image is
+    missing, and where an OBJ would overwrite a file of the asset.
 
     Example:
         flx.save(asset, painting, "variation.glb")
     """
-    path = Path(path)
+    path = path_of("path", path, "a file to write, such as 'new.glb'")
+    check_asset("asset", asset)
+    check_painting("painting", painting)
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{path} has no suffix of {', '.join(SUFFIXES)}; it chooses the format")
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder; name a file in it")
     _check_painting(asset, painting, path)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".ply":

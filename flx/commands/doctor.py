@@ -11,14 +11,23 @@ from typing import NamedTuple
 import numpy as np
 from tyro.conf import Positional
 
+from flx.assets.assemble import faults_of
 from flx.assets.asset import Asset, Report
-from flx.assets.inspect import coverage, inside_out_components, ring_pixels
+from flx.assets.detail import Detail, detail, psnr_at, vertices_for
+from flx.assets.inspect import coverage, inside_out_components, ring_pixels, texel_counts
 from flx.assets.read import read_asset
-from flx.config import FLDMExperiment, quick, read_config
-from flx.geometry.atlas import uv_areas
+from flx.assets.tints import tints
+from flx.config import FLVAE, FLDMExperiment, quick, read_config
+from flx.geometry.atlas import check_repeats, uv_areas
+from flx.geometry.copies import check_memory
+from flx.machine import memory, room
+from flx.models.denoiser.depth import complete
+from flx.pipeline.weights import RELEASED, read_weights
 from flx.training.costs import Costs, costs_of
+from flx.types import SLOTS
 
-RING_PIXELS = (7.0, 450.0)  # in one-rings that the FL-VAE was trained on: 1.5 to 12 pixels from the vertex
+LEAST_PIXELS = 7.0  # in a one-ring, 1.5 from the vertex: the FL-VAE was trained on no fewer
+FINE, COARSE = 30.0, 25.0  # dB at which small letters are kept, and below which a warning is given
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,11 @@ class Doctor:
         if self.vertices is not None:
             plan = replace(plan, surface=replace(plan.surface, vertices=self.vertices))
         try:
+            complete(plan.model, _codec(plan), plan.surface.vertices)
+            check_memory(plan.surface.vertices, plan.surface.copies)
             asset = read_asset(self.mesh, self.texture)
+            with faults_of(asset.path):
+                check_repeats(asset.mesh)
         except (ValueError, OSError) as refusal:
             if self.json:
                 print(json.dumps({"path": str(self.mesh), "verdict": f"refused: {refusal}"}, indent=2))
@@ -49,6 +62,11 @@ class Doctor:
         findings = examine(asset, plan)
         record = {**asset.report._asdict(), **findings._asdict(), "plan": findings.plan._asdict()}
         print(json.dumps(record, indent=2) if self.json else describe(asset.report, findings))
+
+
+def _codec(plan: FLDMExperiment) -> FLVAE:
+    """The configuration of the FL-VAE that the plan uses."""
+    return read_weights(RELEASED if plan.weights is None else Path(plan.weights))[0]
 
 
 RingPixels = tuple[float, float, float] | None  # in a one-ring: 5th percentile, median and 95th by area
@@ -62,6 +80,10 @@ class Findings(NamedTuple):
     covered_texels: float  # share of the textures that the surface shows
     overlapping_texels: float  # share of these that it shows more than once
     ring_pixels: RingPixels
+    kept_psnr: float | None  # of the texture by the plan's vertices, in dB; None where it has no detail
+    enough_vertices: int | None  # to keep it at `FINE` dB
+    kept_maps: tuple[str, ...]  # slots of other maps, which stay as they are
+    tints: tuple[str, ...]  # materials whose texture viewers multiply, with the factor
     plan: Costs
     warnings: tuple[str, ...]
     verdict: str
@@ -69,18 +91,29 @@ class Findings(NamedTuple):
 
 def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
     """What a run of `experiment` would meet on the asset, in addition to the repairs of reading it."""
-    covered, overlapping = coverage(asset)
+    counts = texel_counts(asset)
+    covered, overlapping = coverage(asset, counts)
+    lost = detail(asset, counts)
     flat = np.array([texture.flat for texture in asset.textures] or [True])[asset.mesh.face_textures]
     pixels = ring_pixels(asset, ~flat, experiment.surface.vertices)
     inside_out = inside_out_components(asset)
-    warnings = _warnings(asset.report, experiment.surface.vertices, pixels, overlapping, inside_out)
+    plan = costs_of(experiment)
+    warnings = (
+        *_warnings(asset.report, experiment.surface.vertices, pixels, overlapping, inside_out),
+        *_losses(lost, experiment.surface.vertices),
+        *_shortages(plan),
+    )
     return Findings(
         inside_out_components=inside_out,
         mirrored_uv_faces=int(((uv_areas(asset.mesh) < 0) & ~flat).sum()),
         covered_texels=covered,
         overlapping_texels=overlapping,
         ring_pixels=pixels,
-        plan=costs_of(experiment),
+        kept_psnr=round(psnr_at(lost, experiment.surface.vertices), 1) if lost else None,
+        enough_vertices=_enough(lost) if lost else None,
+        kept_maps=tuple(slot.replace("_", " ") for slot in SLOTS if asset.map_names.get(slot)),
+        tints=tuple(f"{tint.name} × {' '.join(f'{x:g}' for x in tint.factor)}" for tint in tints(asset)),
+        plan=plan,
         warnings=warnings,
         verdict=_verdict(asset.report, len(warnings)),
     )
@@ -90,20 +123,57 @@ def _warnings(
     report: Report, vertices: int, pixels: RingPixels, overlapping: float, inside_out: int
 ) -> tuple[str, ...]:
     flat, components = report.flat_uv_faces, report.components
-    median = pixels[1] if pixels else RING_PIXELS[0]
+    median = pixels[1] if pixels else LEAST_PIXELS
     ring = f"{median:,.0f} texture pixels in a one-ring"
+    kinds = f"{report.materials:,} materials" if report.materials > 1 else f"{report.parts:,} parts"
     found = (
         (overlapping > 0.01, f"{overlapping:.1%} of texels show more than once: those places share a colour"),
         (flat > 0, f"{flat:,} faces have no area on the texture: they show as a streak"),
         (inside_out > 0, f"{inside_out:,} components are inside out; flip their faces"),
-        (median < RING_PIXELS[0], f"only {ring}: fewer vertices would give the same result"),
-        (median > RING_PIXELS[1], f"{ring}: details are lost; use more vertices"),
+        (median < LEAST_PIXELS, f"only {ring}: fewer vertices would give the same result"),
+        (
+            max(report.materials, report.parts) > 1,
+            f"{kinds} are learnt as one texture: they will mix; to keep them apart, learn each alone",
+        ),
         (
             20 * components > vertices,
             f"{components:,} components for {vertices:,} vertices; use more vertices",
         ),
     )
     return tuple(text for holds, text in found if holds)
+
+
+def _enough(lost: Detail) -> int:
+    """With how many vertices the texture is kept at `FINE` dB, to two digits."""
+    wanted = float(np.clip(vertices_for(lost, FINE), 100, 1e6))
+    return int(round(wanted, 1 - int(np.log10(wanted))))
+
+
+def _losses(lost: Detail, vertices: int) -> list[str]:
+    """What the vertices of a plan cannot keep."""
+    if not lost or (psnr := psnr_at(lost, vertices)) >= COARSE:
+        return []
+    return [
+        f"{vertices:,} vertices keep the texture at about {psnr:.0f} dB: small details are lost; about "
+        f"{_enough(lost):,} would keep {FINE:.0f} dB (--surface.vertices of flx train)"
+    ]
+
+
+def _shortages(plan: Costs) -> list[str]:
+    """What this machine lacks for a plan."""
+    here, free, found = memory(), room(), []
+    if here and plan.train_bytes > here.total:
+        wanted, there = _size(plan.train_bytes), _size(here.total)
+        found.append(
+            f"training takes about {wanted} of memory, and this machine has {there}; use fewer "
+            "--surface.vertices, --model.channels or a smaller --train.batch of flx train"
+        )
+    if free is not None and plan.disk_bytes > free:
+        wanted, there = _size(plan.disk_bytes), _size(free)
+        found.append(
+            f"the copies take about {wanted} of disk, and {there} are free here; use fewer --surface.copies"
+        )
+    return found
 
 
 def _verdict(report: Report, warnings: int) -> str:
@@ -137,8 +207,9 @@ LINES = (
 
 def describe(report: Report, findings: Findings | None = None) -> str:
     """Lines of text; repairs that were not needed are left out. The verdict comes last."""
+    parts, materials = _counted(report.parts, "part"), _counted(report.materials, "material")
     lines = [
-        ("file", f"{report.path} ({report.format}), {report.parts} parts, {report.materials} materials"),
+        ("file", f"{report.path} ({report.format}), {parts}, {materials}"),
         ("read", f"{report.vertices_read:,} vertices, {report.faces_read:,} faces"),
         *((label, f"{getattr(report, key):,}") for label, key in LINES if getattr(report, key)),
         ("mesh", f"{report.vertices:,} vertices, {report.faces:,} faces, {report.components} components"),
@@ -165,12 +236,37 @@ def _describe_findings(findings: Findings) -> list[tuple[str, str]]:
         low, median, high = findings.ring_pixels
         spread = f"{median:,.0f} (5 %: {low:,.0f}, 95 %: {high:,.0f}) at {plan.vertices:,} vertices"
         lines.append(("pixels in a one-ring", spread))
+    if findings.kept_psnr is not None:
+        enough = f"{FINE:.0f} dB take about {findings.enough_vertices:,} vertices"
+        lines.append(("texture kept, about", f"{findings.kept_psnr:.0f} dB; {enough}"))
+    if findings.kept_maps:
+        names = ", ".join(findings.kept_maps)
+        lines.append(("other maps", f"{names}: kept as they are, so they will not follow new colours"))
+    lines += [("viewers multiply the texture of", tint) for tint in findings.tints]
     size = f"{plan.copies:,} copies, {plan.steps:,} steps of {plan.batch}, {plan.vertices:,} vertices"
-    duration = f"{_time(plan.copy_seconds)} for the copies, {_time(plan.train_seconds)} to train"
-    room = f"{plan.train_bytes / 1e9:,.1f} GB of memory, {plan.disk_bytes / 1e9:,.1f} GB on disk"
-    plans = [("planned run", size), ("its time on two CPU cores, about", duration), ("its size, about", room)]
+    duration = (
+        f"{_time(plan.copy_seconds)} for the copies, {_time(plan.compile_seconds)} to compile, "
+        f"{_time(plan.train_seconds)} to train"
+    )
+    here, free = memory(), room()
+    has = f" (this machine has {_size(here.total)})" if here else ""
+    spare = "" if free is None else f" ({_size(free)} free here)"
+    sizes = f"{_size(plan.train_bytes)} of memory{has}, {_size(plan.disk_bytes)} on disk{spare}"
+    plans = [
+        ("planned run", size),
+        ("its time on two CPU cores, about", duration),
+        ("its size, about", sizes),
+    ]
     warnings = [("warning", text) for text in findings.warnings]
     return [*lines, *plans, *warnings, ("verdict", findings.verdict)]
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count:,} {what}{'s' * (count != 1)}"
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:,.1f} GB" if count >= 1e9 else f"{count / 1e6:,.0f} MB"
 
 
 def _time(seconds: float) -> str:

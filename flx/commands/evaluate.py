@@ -4,8 +4,10 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from tqdm import tqdm
 from tyro.conf import Positional
 
+from flx.commands.stages import Stages
 from flx.config import STEPS, Comparison, Sampler
 
 
@@ -56,6 +58,7 @@ def judge(options: Evaluate, source: Path) -> Path:
     check_size(size)
     if len({path.stem for path in options.samples}) < len(options.samples):
         raise ValueError("two files of --samples have the same name; rename one: rows are named after files")
+    stage = Stages(2 if options.samples else 3)
     samples = {path.stem: read_asset(path).mesh for path in options.samples}
     if source.is_dir() or source.suffix == ".safetensors":
         generator = load_generator(source)
@@ -63,7 +66,8 @@ def judge(options: Evaluate, source: Path) -> Path:
         folder = (source if source.is_dir() else source.parent) / "evaluation"
         if not samples:
             rules = (options.count, options.seed, options.steps, options.sampler, size)
-            made = generate(generator, *rules)
+            stage(f"making {options.count} variations")
+            made = tqdm(generate(generator, *rules), "variations", options.count, dynamic_ncols=True)
             samples = {f"sample {n}": shown(asset, painting) for n, painting in enumerate(made)}
             others["codec"] = shown(asset, reconstruct(generator, size))
     elif samples:
@@ -71,8 +75,10 @@ def judge(options: Evaluate, source: Path) -> Path:
     else:
         raise ValueError(f"{source} is a mesh; name the meshes to judge after --samples, or give a run")
     others |= controls(asset.mesh, options.seed)
+    stage(f"judging {len(samples)} samples and {len(others)} controls")
     rows = judge_samples(asset.mesh, samples, others, options.seed)
     out, meshes = options.out or folder, {"input": asset.mesh, **samples, **others}
+    stage(f"picturing them, to {out}")
     views = [
         [render(mesh, azimuth=a, elevation=e, size=256, up=up) for mesh in meshes.values()] for a, e in VIEWS
     ]

@@ -11,6 +11,7 @@ from tyro.conf import Positional
 
 from flx.assets.asset import Format
 from flx.commands.output import own_folder, settings
+from flx.commands.stages import Stages
 from flx.config import Surface
 
 
@@ -55,7 +56,7 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
     check_size(options.texture_size)
     surface = Surface(vertices=options.vertices, seed=options.seed)
     judges = installed_judges()
-    began = time.monotonic()
+    began, stage = time.monotonic(), Stages(4)
     asset = read_asset(options.mesh, options.texture)
     codec = load_codec(options.weights)
     made_by = {**settings(options), "asset": asset.digest, "codec": codec.digest()[:12]}
@@ -63,12 +64,16 @@ def reconstruct(options: Reconstruct) -> dict[str, Any]:
     out, _ = own_folder(options, usual, asset.digest[:8], "metrics.json", made_by, names)
     file = out / names[0]
     check_output(asset, options.format, [file], [out / "side_by_side.png"])
+    stage(f"triangulating it with {surface.vertices:,} vertices")
     copy = triangulate(asset, surface.vertices, surface.seed, codec.config.samples, surface.slots)
     asset = prepared_for(asset, options.format)
+    stage("finding its texels on the triangulation")
     canvas = open_canvas(asset, copy.triangulation, options.texture_size)
+    stage("encoding, and decoding every texel")
     baked = bake(canvas, codec.decoder(codec.encode(copy.rings)))
     seconds = time.monotonic() - began
 
+    stage("measuring, writing and picturing it")
     metrics = {
         "mesh": str(options.mesh),
         "folder": str(out),

@@ -122,9 +122,15 @@ def sample(options: Sample) -> Path:
             write(asset, baked, file)
             write_atlases(asset, baked, file)
             _write_record(out, record, list(ratios), ratios, borders)
-    shown_titles = titles[: len(variations)]
+    shown_titles = captions(titles, len(variations))
     write_png(out / sheet, side_by_side(asset, variations, shown_titles, up, own=generator.asset))
     return out
+
+
+def captions(titles: Sequence[str], count: int) -> list[str]:
+    """The first titles, for a sheet that shows so many; the last one says where there are more."""
+    more = f" ({count} of {len(titles)} shown)" * (count < len(titles))
+    return [*titles[: count - 1], titles[count - 1] + more]
 
 
 def _write_record(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from flx.arguments import briefly, path_of, whole
 from flx.assets.formats.readers import READERS
 from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, PriorExperiment, quick, read_config
 from flx.geometry.copies import check_memory
@@ -34,8 +35,11 @@ def learn(experiment: Experiment, root: Path = Path("runs"), workers: int | None
         run = flx.train(flx.quick("bowl.glb", name="bowl"))
         generator = flx.load_generator(run.folder)
     """
-    if workers is not None and workers < 1:
-        raise ValueError(f"--workers is {workers}; give at least 1")
+    workers = None if workers is None else whole("--workers", workers, 1)
+    root = path_of("root", root, "the folder of runs, such as 'runs'")
+    if not isinstance(experiment, FLDMExperiment | FLVAEExperiment):
+        given = briefly(experiment)
+        raise ValueError(f"experiment is {given}; give an FLDMExperiment, such as flx.quick('bowl.glb')")
     if isinstance(experiment, FLVAEExperiment):
         from flx.training.flvae import learn_flvae
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from skimage.metrics import structural_similarity
 
-from flx.assets.asset import Asset, Painting, own_painting
+from flx.assets.asset import Asset, Painting, check_asset, check_painting, own_painting
 from flx.evaluation.lpips import Judge
 from flx.geometry.atlas import Atlas, fill_gutter
 from flx.geometry.color import resized
@@ -37,6 +37,8 @@ def fidelity(
         painting = flx.paint(asset, copy, codec, codec.encode(copy.rings))
         flx.fidelity(asset, painting)["psnr"]  # in dB
     """
+    check_asset("asset", asset)
+    check_painting("painting", painting)
     if not painting.images:
         used = np.unique(asset.corner_vertices)
         own = own_painting(asset).colors

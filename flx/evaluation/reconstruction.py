@@ -32,8 +32,9 @@ from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.copies import check_memory, sample_rings
 from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, check_size, open_canvas
-from flx.pipeline.codec import BARYCENTRIC, load_codec
+from flx.pipeline.codec import load_codec
 from flx.pipeline.patches import SUFFIXES, image_files
+from flx.pipeline.weights import BARYCENTRIC
 from flx.stopping import keeping
 
 METHODS = get_args(Compared)
@@ -94,6 +95,7 @@ def reconstruction_table(options: Comparison) -> list[Row]:
             rings = sample_rings(mesh, triangulation, SAMPLES, options.seed)
             canvas = open_canvas(assets[path], triangulation, options.texture_size)
             for name in missing:
+                bar.set_postfix_str(f"{Path(path).name}, {count:,} vertices, {name}")
                 method = method_named(name)
                 began = time.monotonic()
                 baked = bake(canvas, method(Subject(mesh, triangulation, rings)))

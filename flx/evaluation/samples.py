@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
+from tqdm import tqdm
 
 from flx.evaluation import patches
 from flx.evaluation.charts import SHARES, Charts, Sites, chart_colors, chart_images, place_charts
@@ -68,7 +69,7 @@ def judge_samples(
     rows: dict[str, Row] = {}
     every = {**samples, "input": mesh, **(others or {})}
     described: dict[str, list[Any]] = {}
-    for name, texture in every.items():
+    for name, texture in tqdm(every.items(), "judged", unit="mesh", dynamic_ncols=True):
         same = texture.faces.shape == mesh.faces.shape and np.allclose(texture.vertices, mesh.vertices)
         theirs = None if same else unfold(texture.vertices, texture.faces)
         rows[name] = {}

@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from flx.geometry.arrays import chunks, dot
 from flx.geometry.color import quantized
 from flx.geometry.raster import CHUNK, Pixels, Planes, barycentric_planes, expand, pixels_inside
-from flx.types import Slot, SurfacePoints, TexturedMesh
+from flx.types import Layer, Slot, SurfacePoints, TexturedMesh
 
 MOST_REPEATS = 16  # repeats of a texture on one face; billions would take too long and show no more
 WRAP = 8  # texels beyond the border of a repeating texture in which a gutter looks for colours
@@ -120,13 +120,7 @@ def atlas_texels(
     layer = mesh.maps[slot]
     corners = layer.corner_uvs * [width, height] - 0.5
     chosen = np.flatnonzero(layer.face_images == texture_index)[::-1]  # the last write wins: the first face
-    repeats = np.ptp(layer.corner_uvs[chosen], axis=1)
-    if repeats.max(initial=0) > MOST_REPEATS:
-        face = chosen[repeats.max(1).argmax()]
-        raise ValueError(
-            f"face {face} spans {repeats.max():.0f} repeats of texture {texture_index}, but at most "
-            f"{MOST_REPEATS} can be painted; unwrap the mesh again"
-        )
+    _check_repeats(layer, chosen)
     faces, met = np.full(height * width, -1, np.int32), np.zeros(len(chosen), bool)
     for pixels in pixels_inside(corners[chosen]):
         faces[pixels.rows % height * width + pixels.columns % width] = chosen[pixels.triangles]
@@ -137,6 +131,22 @@ def atlas_texels(
         claimed = free[texels]
         faces[texels[claimed]] = small[hits[claimed]]
     return Atlas(faces.reshape(height, width), corners, barycentric_planes(corners))
+
+
+def check_repeats(mesh: TexturedMesh) -> None:
+    """Raises ValueError for a face that spans more than `MOST_REPEATS` repeats: it cannot be painted."""
+    for layer in mesh.maps.values():
+        _check_repeats(layer, np.arange(len(mesh.faces)) if layer.images else np.zeros(0, np.int64))
+
+
+def _check_repeats(layer: Layer, chosen: Int[Any, "N"]) -> None:
+    repeats = np.ptp(layer.corner_uvs[chosen], axis=1)
+    if repeats.max(initial=0) > MOST_REPEATS:
+        face = chosen[repeats.max(1).argmax()]
+        raise ValueError(
+            f"face {face} spans {repeats.max():,.0f} repeats of texture {layer.face_images[face]}, but at "
+            f"most {MOST_REPEATS} can be painted; unwrap the mesh again"
+        )
 
 
 def _outlines(corners: Float64[Any, "F 3 2"]) -> Iterator[Pixels]:

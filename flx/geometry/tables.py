@@ -14,6 +14,7 @@ from jaxtyping import Complex128, Float64, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from flx.arguments import whole
 from flx.geometry.arrays import mark
 from flx.geometry.tangent import TangentFrames, tangent_frames, transports
 from flx.types import MeshTables, OneRings, Pooling, Triangulation
@@ -40,6 +41,7 @@ def mesh_tables(
     Raises:
       ValueError: a vertex of either level has more neighbours than slots − 1; a coarse count outside 1..V.
     """
+    slots, seed = whole("slots", slots, 4), whole("seed", seed)
     exact = exact_tables(triangulation, slots, seed, coarse_count)
     return MeshTables._make(part._make(map(_rounded, part)) for part in exact)
 
@@ -48,11 +50,10 @@ def exact_tables(
     triangulation: Triangulation, slots: int = 16, seed: int = 0, coarse_count: int | None = None
 ) -> MeshTables:
     """`mesh_tables` before rounding, in float64 and complex128, to test symmetries exactly."""
-    count = len(triangulation.vertices)
+    frames, count = tangent_frames(triangulation), len(triangulation.vertices)
     coarse_count = max(1, count // 4) if coarse_count is None else coarse_count
     if not 1 <= coarse_count <= count:
         raise ValueError(f"coarse_count is {coarse_count} on a mesh of {count} vertices; take 1 to {count}")
-    frames = tangent_frames(triangulation)
     graph = _edge_graph(frames)
     forest = _shortest_paths(graph, frames, _farthest_points(graph, coarse_count, seed))
     pooling = _pooling(forest, frames.masses)
@@ -123,7 +124,7 @@ def _padded_rings(
         vertex = int(p[slot.argmax()])
         raise ValueError(
             f"{level} {vertex} has {width - 1} neighbours but the table has {slots} slots, one of them its "
-            "own; remesh, or raise surface.slots"
+            "own; remesh, or raise slots (--surface.slots of flx train)"
         )
     shape = (len(masses), width)
     neighbors, reverse = np.indices(shape, np.int32)

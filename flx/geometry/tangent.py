@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int
 
-from flx.geometry.arrays import face_areas, mark
+from flx.arguments import briefly
+from flx.geometry.arrays import distinct_rows, face_areas, mark
 from flx.types import Triangulation
 
 Corners = Int[Any, "C"]
@@ -35,6 +36,46 @@ class TangentFrames(NamedTuple):
     radius: float  # `mean_vertex_radius`
 
 
+def check_triangulation(triangulation: Triangulation) -> None:
+    """Raises ValueError, naming the row, for arrays that are not the vertices and faces of a surface.
+
+    These are: lists, other shapes, positions that are not finite, indices of vertices that are not there,
+    faces with a corner twice, a surface without area, and triangles that share positions but no vertices.
+    """
+    for name, shape, kinds, words in (
+        ("vertices", "[V, 3]", "f", "real numbers"),
+        ("faces", "[F, 3]", "iu", "indices of vertices"),
+    ):
+        array = getattr(triangulation, name, None)
+        if not isinstance(array, np.ndarray):
+            given = briefly(triangulation if array is None else array)
+            what = "triangulation" if array is None else name
+            raise ValueError(f"{what} is {given}; give a Triangulation of NumPy arrays")
+        if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in kinds:
+            raise ValueError(f"{name} are {array.dtype}, {list(array.shape)}; give {words}, {shape}")
+    vertices, faces = triangulation
+    if (wrong := ~np.isfinite(vertices).all(1)).any():
+        row = int(wrong.argmax())
+        raise ValueError(f"vertices[{row}] is {vertices[row].tolist()}; give finite numbers")
+    if not len(faces):
+        raise ValueError(f"{len(vertices)} vertices have no faces; give at least one triangle")
+    if (wrong := ((faces < 0) | (faces >= len(vertices))).any(1)).any():
+        row, count = int(wrong.argmax()), len(vertices)
+        raise ValueError(f"faces[{row}] is {faces[row].tolist()}, but there are {count} vertices, from 0")
+    if (wrong := (faces == np.roll(faces, 1, axis=1)).any(1)).any():
+        row = int(wrong.argmax())
+        raise ValueError(f"faces[{row}] is {faces[row].tolist()}: a corner twice; leave this face out")
+    if not face_areas(vertices, faces).any():
+        raise ValueError("no face has an area; scale the mesh up, or export it again")
+    if len(faces) > 1 and len(vertices) >= 3 * len(faces):
+        places = len(distinct_rows(vertices[faces.ravel()])[0])
+        if 2 * places < 3 * len(faces):
+            raise ValueError(
+                f"{len(faces)} triangles meet at {places} places, but no two share a vertex; weld them "
+                "first, as flx.from_arrays does"
+            )
+
+
 def vertex_masses(triangulation: Triangulation) -> Float64[Any, "V"]:
     """A third of the area of the faces around each vertex, in squared units of the mesh."""
     thirds = np.repeat(face_areas(*triangulation) / 3, 3)
@@ -52,8 +93,10 @@ def tangent_frames(triangulation: Triangulation) -> TangentFrames:
     A corner is c = 3 face + i, at vertex faces[face, i]. Counter-clockwise around its vertex, the next corner
     is the one whose outgoing edge is the reverse of this one's incoming edge. All vertices advance together.
 
-    Raises ValueError where two faces run along an edge in the same direction, or a vertex joins two fans.
+    Raises ValueError where arrays cannot be used (`check_triangulation`), where two faces run along an edge
+    in the same direction, or a vertex joins two fans.
     """
+    check_triangulation(triangulation)
     vertices, faces = triangulation.vertices, triangulation.faces.astype(np.int64)
     count = len(vertices)
     at, to, back = faces.ravel(), np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()

@@ -7,8 +7,10 @@ import numpy as np
 from jaxtyping import Complex64, Float32, Int32, UInt8
 from PIL import Image
 
-from flx.assets.asset import Asset, Painting, own_painting
+from flx.arguments import briefly, check_kind, check_word, whole
+from flx.assets.asset import Asset, Painting, check_asset, check_painting, own_painting
 from flx.assets.formats.files import limit
+from flx.assets.tints import tinted
 from flx.geometry import render
 from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
 from flx.geometry.color import quantized, resized
@@ -73,11 +75,15 @@ def _shown_points(asset: Asset, atlases: Sequence[Atlas | None]) -> Iterator[Sur
             yield atlas.points_at(texels[start : start + CHUNK])
 
 
-def check_size(texture_size: int | None) -> None:
-    """Raises ValueError for fewer pixels than the metrics need, or more than an image may have."""
+def check_size(texture_size: int | None, name: str = "--texture-size") -> None:
+    """Raises ValueError for fewer pixels than the metrics need, or more than an image may have.
+
+    `name` is what the caller calls it.
+    """
     longest = int(limit("FLX_MAX_PIXELS") ** 0.5)
+    texture_size = None if texture_size is None else whole(name, texture_size)
     if texture_size is not None and not SMALLEST <= texture_size <= longest:
-        raise ValueError(f"--texture-size is {texture_size}; give {SMALLEST} to {longest} pixels")
+        raise ValueError(f"{name} is {texture_size}; give {SMALLEST} to {longest} pixels")
 
 
 def atlas_size(image: UInt8[Any, "H W 3"], texture_size: int | None) -> tuple[int, int]:
@@ -107,12 +113,20 @@ def paint(
         painting = flx.paint(asset, copy, codec, codec.encode(copy.rings))
         flx.save(asset, painting, "back.glb")
     """
-    check_size(texture_size)
+    check_asset("asset", asset)
+    if not hasattr(copy, "triangulation"):
+        raise ValueError(f"copy is {briefly(copy)}; give what flx.triangulate returns, or generator.home")
+    check_kind("codec", codec, Codec, "what flx.load_codec returns")
+    check_size(texture_size, "texture_size")
+    latents = np.asarray(latents) if isinstance(latents, list | tuple) else latents
     if np.shape(latents) != (vertices := len(copy.triangulation.vertices), codec.config.latents):
         raise ValueError(
             f"latents have shape {list(np.shape(latents))}; give [{vertices}, {codec.config.latents}]: "
             "a code for each vertex of the copy"
         )
+    codes = np.asarray(latents)
+    if codes.dtype.kind not in "iufc" or not np.isfinite(codes).all():
+        raise ValueError(f"latents ({codes.dtype}) are not all finite numbers; give the codes of a codec")
     return bake(open_canvas(asset, copy.triangulation, texture_size), codec.decoder(latents))
 
 
@@ -167,7 +181,11 @@ def show(asset: Asset, *paintings: Painting, up: Literal["y", "z"] = "y", size: 
     Example:
         flx.show(asset, *flx.generate(generator, count=3))
     """
-    captions = [str(n) for n in range(len(paintings))]
+    check_asset("asset", asset)
+    for n, painting in enumerate(paintings):
+        check_painting(f"painting {n}", painting)
+    check_word("up", up, ("y", "z"))
+    size, captions = whole("size", size, SMALLEST), [str(n) for n in range(len(paintings))]
     return Image.fromarray(side_by_side(asset, paintings, captions, up, size))
 
 
@@ -179,15 +197,17 @@ def side_by_side(
     size: int = 384,
     own: Asset | None = None,
 ) -> UInt8[Any, "_ _ 3"]:
-    """Renders of the input and of each new texture in columns, a view in each row.
+    """Renders of the input and of each new texture in columns, as viewers show them, a view in each row.
 
     `own` is the input, if the asset is another mesh.
     """
-    meshes, own = [shown(asset, painting) for painting in paintings], own or asset
+    meshes, own = [tinted(asset, shown(asset, painting)) for painting in paintings], own or asset
     rows = []
     for view in VIEWS:
         first, others = (render.look(one.mesh, *view, size, up) for one in (own, asset))  # pyright: ignore
-        rows.append([render.show(first, own.mesh), *(render.show(others, mesh) for mesh in meshes)])
+        rows.append(
+            [render.show(first, tinted(own, own.mesh)), *(render.show(others, mesh) for mesh in meshes)]
+        )
     return render.contact_sheet(rows, ["input", *captions])
 
 

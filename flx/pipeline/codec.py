@@ -14,15 +14,14 @@ import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Complex64, Float32
 
+from flx.arguments import check_kind, path_of
 from flx.config import FLVAE
 from flx.fields.diffusion import Scaling
 from flx.models.codec.vae import FieldLatentVAE
-from flx.pipeline.tensors import load_tensors, one_line, save_tensors
+from flx.pipeline.tensors import save_tensors
+from flx.pipeline.weights import RELEASED, read_weights
 from flx.types import Queries, RingSamples
 
-WEIGHTS = Path(__file__).parent.parent / "weights"
-RELEASED = WEIGHTS / "flvae.safetensors"
-BARYCENTRIC = WEIGHTS / "barycentric.safetensors"  # a baseline, whose decoder interpolates invariants
 RINGS, VERTICES, POINTS = 4096, 65_536, 32_768  # one-rings encoded, codes expanded, points decoded at once
 
 
@@ -38,6 +37,9 @@ class Codec(NamedTuple):
 
     def encode(self, rings: RingSamples) -> Complex64[np.ndarray, "V D"]:
         """The mean code of each one-ring, in the frame of its vertex."""
+        check_kind("rings", rings, RingSamples, "the rings of a copy, such as flx.triangulate(asset).rings")
+        if (shape := np.shape(rings.logs))[1:] != (wanted := (self.config.samples,)):
+            raise ValueError(f"rings have {shape[1:]} samples; give {wanted[0]}, as flx.triangulate does")
         return _in_chunks(partial(_mean_code, self.config), self.params, rings, RINGS)
 
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
@@ -118,15 +120,10 @@ def load_codec(path: str | Path | None = None) -> Codec:
         codec = flx.load_codec()
         latents = codec.encode(flx.triangulate(asset, vertices=5000).rings)  # [5000, 8]
     """
-    path = Path(path) if path else RELEASED
-    try:
-        text, tensors = load_tensors(path, "flvae")
-        config = FLVAE(**json.loads(text))
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{path} holds no FL-VAE weights ({one_line(error)}); train some with "
-            "`flx train experiments/flvae.py`, or leave --weights out for the released ones"
-        ) from None
+    path = (
+        RELEASED if path is None else path_of("path", path, "an FL-VAE file, or nothing for the released one")
+    )
+    config, tensors = read_weights(path)
     if odd := odd_parameter(tensors, jax.eval_shape(lambda: initial_params(config, 0))):
         raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")
     return Codec(config, {"params": unflatten_dict(jax.tree.map(jnp.asarray, tensors), "/")})

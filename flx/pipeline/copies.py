@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Complex64
 from tqdm import tqdm
 
-from flx.assets.asset import Asset
+from flx.arguments import whole
+from flx.assets.asset import Asset, check_asset
 from flx.config import Surface
 from flx.files import write_atomically
 from flx.geometry import copies
-from flx.geometry.atlas import with_filled_gutters
+from flx.geometry.atlas import check_repeats, with_filled_gutters
 from flx.machine import memory, processors
 from flx.pipeline.codec import Codec
 from flx.pipeline.tensors import one_line
@@ -46,7 +47,11 @@ def triangulate(
         copy = flx.triangulate(asset, vertices=5000)
         latents = flx.load_codec().encode(copy.rings)  # [5000, 8], complex
     """
+    check_asset("asset", asset)
+    vertices, samples = whole("vertices", vertices, 4), whole("samples", samples, 1)
+    seed, slots = whole("seed", seed), whole("slots", slots, 4)
     copies.check_memory(vertices)
+    check_repeats(asset.mesh)
     return copies.make_copy(with_filled_gutters(asset.mesh), vertices, samples, slots, seed)
 
 

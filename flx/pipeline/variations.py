@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Complex64
 
+from flx.arguments import check_kind, whole
 from flx.assets.asset import Asset, Painting
 from flx.assets.shape import read_shape
 from flx.config import STEPS, Controls, Sampler
@@ -14,7 +15,7 @@ from flx.fields.samplers import Hook
 from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.copies import sample_rings
 from flx.geometry.remesh.remesh import remesh
-from flx.pipeline.canvas import bake, open_canvas
+from flx.pipeline.canvas import bake, check_size, open_canvas
 from flx.pipeline.generator import Generator, Home
 from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, kept_texels, restored
 from flx.pipeline.transfer import home_on
@@ -73,6 +74,10 @@ def generate(
         for n, painting in enumerate(flx.generate(generator, count=4)):
             flx.save(generator.asset, painting, f"variation_{n}.glb")
     """
+    check_kind("generator", generator, Generator, "what flx.load_generator returns")
+    count, steps, seed = whole("count", count, 1), whole("steps", steps, 1), whole("seed", seed)
+    check_size(texture_size, "texture_size")
+    check_kind("controls", controls or Controls(), Controls, "a flx.Controls")
     controls = controls or Controls()
     if asset is None:
         asset = read_shape(controls.mesh) if controls.mesh else generator.asset

@@ -15,6 +15,7 @@ COPY_SECONDS = 1.6e-4  # per vertex of a copy: remeshing, tables and colours, tw
 STEP_SECONDS = {"vectors": 5.0e-7, "mixed": 2.7e-7}
 STEP_BYTES = 900  # memory, per the same
 BASE_BYTES = 600e6  # memory of JAX and of the mesh
+COMPILE_SECONDS = 45.0  # of a training step, 38 to 59 measured; a few, where compiled programs are kept
 
 
 class Costs(NamedTuple):
@@ -26,6 +27,7 @@ class Costs(NamedTuple):
     batch: int
     copy_seconds: float  # of all copies
     disk_bytes: float
+    compile_seconds: float
     step_seconds: float
     train_seconds: float
     train_bytes: float  # of memory
@@ -44,6 +46,7 @@ def costs_of(experiment: FLDMExperiment) -> Costs:
         batch=train.batch,
         copy_seconds=COPY_SECONDS * surface.vertices * surface.copies,
         disk_bytes=float(COPY_BYTES) * surface.vertices * surface.copies,
+        compile_seconds=COMPILE_SECONDS,
         step_seconds=step_seconds,
         train_seconds=step_seconds * train.steps,
         train_bytes=BASE_BYTES + STEP_BYTES * work,

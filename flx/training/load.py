@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+from flx.arguments import path_of
 from flx.config import FLDMExperiment
 from flx.pipeline.generator import Generator, read_generator
 from flx.training.run import Run, load_config
@@ -21,7 +22,7 @@ def load_generator(path: str | Path) -> Generator:
         generator = flx.load_generator("runs/bowl")
         latents = generator.sample(jax.random.key(0))
     """
-    path = Path(path)
+    path = path_of("path", path, "a run folder of `flx train`, or a generator file")
     if not path.is_dir():
         if not path.exists():
             raise ValueError(f"{path} does not exist; give a run folder of `flx train`, or a generator file")

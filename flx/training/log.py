@@ -4,6 +4,8 @@ import csv
 import math
 import sys
 import time
+from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -19,12 +21,14 @@ from flx.training.checkpoint import Checkpoints
 from flx.training.run import Run
 
 _SILENCE = 30.0  # most seconds without a message where there is no terminal for a progress bar
+_MINUTE = 60.0  # seconds over which pace and loss are taken: one loss is that of one random t
 
 
 class Log:
     """Writes the reports, and stops a training whose numbers are not finite.
 
-    A row of metrics.csv is the mean over the steps since the row before.
+    A row of metrics.csv is the mean over the steps since the row before, and so is the loss of a line on
+    stderr. The pace, and the loss of the progress bar, are those of the last minute.
     """
 
     def __init__(self, run: Run, config: Train, done: int, checkpoints: Checkpoints):
@@ -41,6 +45,8 @@ class Log:
         quiet = not sys.stderr.isatty()
         self._bar = tqdm(total=config.steps, initial=done, unit="step", dynamic_ncols=True, disable=quiet)
         self._began = self._row_began = self._spoke = time.monotonic()
+        self._recent = deque([(self._began, math.nan)])  # when steps ended, and their losses
+        self._unsaid: list[float] = []  # losses since the last line
 
     def close(self) -> None:
         self._bar.close()
@@ -80,15 +86,30 @@ class Log:
             rows.writerow({"step": self._step} | {name: f"{mean:.7g}" for name, mean in means.items()})
         self._columns, self._rows, self._row_began = columns, [], now
 
+    def finish(self) -> None:
+        """Say how a training ended."""
+        losses = [loss for _, loss in self._recent if not math.isnan(loss)]
+        took, count = tqdm.format_interval(time.monotonic() - self._began), self._step - self._first
+        say(
+            f"{self._run.folder}: {self._step:,} steps done, loss {_mean(losses):.4g} over the last "
+            f"{len(losses):,}; {count:,} steps took {took}"
+        )
+
     def _show(self, loss: float) -> None:
-        self._bar.set_postfix_str(f"loss {loss:.4g}", refresh=False)
-        self._bar.update()
         now = time.monotonic()
-        if self._bar.disable and now - self._spoke >= _SILENCE:
-            pace = (now - self._began) / (self._step - self._first)
-            left = tqdm.format_interval(pace * (self._config.steps - self._step))
-            say(f"step {self._step}/{self._config.steps}, loss {loss:.4g}, {pace:.3g} s a step, {left} left")
-            self._spoke = now
+        self._recent.append((now, loss))
+        self._unsaid.append(loss)
+        while len(self._recent) > 2 and self._recent[1][0] <= now - _MINUTE:
+            self._recent.popleft()
+        pace = (now - self._recent[0][0]) / (len(self._recent) - 1)
+        left = tqdm.format_interval(pace * (self._config.steps - self._step))
+        if not self._bar.disable:
+            mean = _mean([loss for _, loss in self._recent if not math.isnan(loss)])
+            self._bar.set_postfix_str(f"loss {mean:.4g}", refresh=False)
+            self._bar.update()
+        elif now - self._spoke >= _SILENCE:
+            mean, self._unsaid, self._spoke = _mean(self._unsaid), [], now
+            say(f"step {self._step}/{self._config.steps}, loss {mean:.4g}, {pace:.3g} s a step, {left} left")
 
     def _not_finite(self, step: int, wrong: str) -> str:
         latest = self._checkpoints.latest_step
@@ -98,6 +119,10 @@ class Log:
             f"{self._run.folder}: step {step} gave {wrong}; {saved}; lower train.learning_rate "
             f"({self._config.learning_rate:g}) or {clip}, under another --name"
         )
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
 
 
 def _drop_rows_after(metrics: Path, done: int) -> list[str]:

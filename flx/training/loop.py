@@ -131,6 +131,7 @@ def train(
                         checkpoints.save(done, state)
                         under_way = None
                     if last:
+                        log.finish()
                         break
                     batch = next(feed)
         if stop.signal is not None and done < config.steps:

@@ -6,6 +6,7 @@ Reading them gives the same bits as the originals. (Older runs have `asset/asset
 
 from pathlib import Path
 
+from flx.assets.assemble import faults_of
 from flx.assets.asset import Asset
 from flx.assets.formats import glb
 from flx.assets.formats.files import inside, read_file
@@ -15,13 +16,25 @@ from flx.assets.read import read_asset
 from flx.assets.vase import vase_asset
 from flx.config import Surface
 from flx.files import write_atomically
+from flx.geometry.atlas import check_repeats
 from flx.pipeline.generator import Source
 from flx.training.run import Run
 
 
 def read_source(surface: Surface) -> Asset:
-    """The asset that the experiment names, or the embedded vase."""
-    return read_asset(surface.path, surface.texture) if surface.path else vase_asset()
+    """The asset that the experiment names, or the embedded vase.
+
+    Raises ValueError, with the options of `flx train`, for one that cannot be learnt.
+    """
+    if not surface.path:
+        return vase_asset()
+    try:
+        asset = read_asset(surface.path, surface.texture)
+    except ValueError as fault:
+        raise ValueError(str(fault).replace("--texture", "--surface.texture")) from fault
+    with faults_of(asset.path):
+        check_repeats(asset.mesh)
+    return asset
 
 
 def keep(asset: Asset, run: Run, surface: Surface) -> Asset:

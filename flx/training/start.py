@@ -10,8 +10,9 @@ import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 
 from flx.config import FLDM, from_json
-from flx.pipeline.codec import WEIGHTS, Codec
+from flx.pipeline.codec import Codec
 from flx.pipeline.tensors import load_tensors, one_line, save_tensors
+from flx.pipeline.weights import WEIGHTS
 
 RELEASED = WEIGHTS / "prior.safetensors"
 PARTS = ("before", "coarse", "after")  # of the network: stacks of blocks, of any number

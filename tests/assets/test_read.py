@@ -267,6 +267,36 @@ def test_paths_that_are_no_mesh(tmp_path):
             read_asset(path)
 
 
+def test_an_image_beside_a_mesh_that_names_none_is_proposed(tmp_path):
+    path = save_obj(tmp_path, OBJ.replace("mtllib", "# no"))
+    with pytest.raises(ValueError, match=rf"; pass --texture {tmp_path}/a.png, which lies here$"):
+        read_asset(path)
+    assert read_asset(path, tmp_path / "a.png").textures
+    (tmp_path / "b.png").write_bytes((tmp_path / "a.png").read_bytes())
+    (tmp_path / "a.png").rename(tmp_path / "c.png")
+    with pytest.raises(ValueError, match=r"; pass --texture IMAGE$"):  # which of the two?
+        read_asset(path)
+
+
+def test_without_texture_coordinates_no_texture_is_asked_for(tmp_path):
+    bare = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    path = save_obj(tmp_path, bare)
+    for texture in (None, tmp_path / "a.png"):
+        with pytest.raises(ValueError, match="no texture coordinates; unwrap it in a 3D program") as told:
+            read_asset(path, texture)
+        assert "--texture" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("a.stl", "flx sample RUN --mesh"), ("A.STL", "triangles alone"), ("a.fbx", "export it as GLB")],
+)
+def test_other_formats_are_answered_with_what_to_do(tmp_path, name, told):
+    (tmp_path / name).write_bytes(b"solid")
+    with pytest.raises(ValueError, match=told):
+        read_asset(tmp_path / name)
+
+
 @pytest.mark.parametrize(
     "content, match", [(b"no image", "no known kind"), (None, "broken"), ("big", "9000 × 9000")]
 )

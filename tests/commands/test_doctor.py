@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.files import OBJ, obj
+from helpers.files import MTL, OBJ, at, obj
 from helpers.surfaces import random_sphere
 from PIL import Image
 
@@ -14,7 +14,10 @@ from flx.assets.read import read_asset
 from flx.commands.doctor import Findings, describe, examine
 from flx.config import FLDM, FLDMExperiment, Surface, Train
 from flx.launch import main
+from flx.machine import Memory
 from flx.models.denoiser.depth import blocks_for
+from flx.training.costs import costs_of
+from flx.training.run import Run
 
 PLAN = FLDMExperiment(surface=Surface(vertices=5000, copies=8), train=Train(steps=100, batch=1))
 
@@ -146,3 +149,109 @@ def test_limits_can_be_raised_and_are_checked(tmp_path, monkeypatch):
     monkeypatch.setenv("FLX_MAX_PIXELS", "many")
     with pytest.raises(ValueError, match="whole number"):
         read_asset(path)
+
+
+# --- what `flx train` would meet
+
+
+def refusal(words: list[str], capsys) -> str:
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1 and not said.out
+    return said.err
+
+
+def test_a_face_that_cannot_be_painted_is_refused_by_doctor_and_train_alike(tmp_path, monkeypatch, capsys):
+    """A thousand repeats on a strip: little area on the texture, and still no texels of its own."""
+    monkeypatch.chdir(tmp_path)
+    strip = np.array([[0, 0], [1000, 0], [1000, 0.001], [0, 0.001]])
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+    save(tmp_path, points, strip, np.array([[0, 1, 2], [0, 2, 3]]))
+    told = refusal(["doctor", "a.obj"], capsys)
+    assert "face 0 spans 1,000 repeats" in told and "unwrap" in told
+    assert refusal(["train", "a.obj"], capsys) == told
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("model", "surface", "told"),
+    [
+        (
+            "network='vectors'",
+            "",
+            "model.network is 'vectors' but 3 of the FL-VAE's 8 channels",
+        ),
+        ("latents=4", "", "model.latents is 4 but the FL-VAE has 8"),
+        ("", "vertices=1000000000", "a copy of 1,000,000,000 vertices takes about"),
+        ("", "copies=100000000", "100,000,000 copies of 30,000 vertices take about"),
+    ],
+)
+def test_a_plan_that_cannot_be_trained_is_refused_by_doctor_and_train_alike(
+    tmp_path, monkeypatch, capsys, model, surface, told
+):
+    monkeypatch.chdir(tmp_path)
+    obj()(tmp_path)
+    config = f"config = FLDMExperiment(model=FLDM({model}), surface=Surface('a.obj', {surface}))"
+    Path("plan.py").write_text(f"from flx.config import *\n{config}\n")
+    assert told in refusal(["doctor", "a.obj", "--config", "plan.py"], capsys)
+    assert told in refusal(["train", "plan.py"], capsys)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_the_plan_is_that_of_flx_train(tmp_path, monkeypatch, capsys):
+    path, trained = str(obj()(tmp_path)), []
+    assert main(["doctor", path, "--json"]) == 0
+    plan = json.loads(capsys.readouterr().out)["plan"]
+    learn = lambda experiment, **_: trained.append(experiment) or Run(tmp_path)  # noqa: E731
+    monkeypatch.setattr("flx.commands.train.learn", learn)
+    assert main(["train", path]) == 0
+    assert plan == costs_of(trained[0])._asdict() and plan["compile_seconds"] > 0
+
+
+def test_what_this_machine_lacks_is_a_warning_with_options_of_train(tmp_path, monkeypatch):
+    asset = square(tmp_path, 0.5)
+    monkeypatch.setattr("flx.commands.doctor.memory", lambda: Memory(1e9, 1e8))
+    monkeypatch.setattr("flx.commands.doctor.room", lambda: 1e6)
+    findings = examined(asset)
+    assert any("1.0 GB" in text and "--train.batch" in text for text in findings.warnings)
+    assert any("24 MB of disk, and 1 MB are free" in text for text in findings.warnings)
+    said = describe(asset.report, findings)
+    assert "this machine has 1.0 GB" in said and "45 s to compile" in said and "1 part, 1 material" in said
+    monkeypatch.setattr("flx.commands.doctor.memory", lambda: None)
+    monkeypatch.setattr("flx.commands.doctor.room", lambda: None)
+    assert not any("--train.batch" in text or "disk" in text for text in examined(asset).warnings)
+
+
+def test_materials_and_parts_that_will_mix_are_named(tmp_path):
+    two = OBJ.replace("f 2/1 3/2 4/3", "usemtl wood\nf 2/1 3/2 4/3")
+    path = obj(lambda _: two, MTL + MTL.replace("skin", "wood"))(tmp_path)
+    assert any(
+        text.startswith("2 materials are learnt as one") for text in examined(read_asset(path)).warnings
+    )
+    assert not any("mix" in text for text in examined(square(tmp_path, 0.5)).warnings)
+
+
+def test_maps_that_do_not_follow_new_colours_and_factors_are_told(tmp_path):
+    asset = read_asset(obj(mtl=MTL + "norm a.png\n")(tmp_path))
+    findings = examined(asset)
+    assert findings.kept_maps == ("normal",) and "will not follow new colours" in describe(
+        asset.report, findings
+    )
+    assert "will not follow" not in describe(asset.report, examined(square(tmp_path, 0.5)))
+    factor = at("materials", 0, "pbrMetallicRoughness", "baseColorFactor", to=[0.5, 0.25, 1, 1])(tmp_path)
+    findings = examined(read_asset(factor))
+    assert len(findings.tints) == 1 and findings.tints[0].endswith(" × 0.5 0.25 1")
+
+
+def test_a_plan_that_loses_details_is_told_how_many_vertices_would_keep_them(tmp_path):
+    asset = square(tmp_path, 0.5, scale=1.0)
+    assert examined(asset).enough_vertices is None  # of one colour
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    Image.fromarray(noise).resize((512, 512)).save(tmp_path / "a.png")
+    findings = examined(read_asset(tmp_path / "a.obj"), FLDMExperiment(surface=Surface(vertices=50)))
+    assert findings.kept_psnr is not None and findings.kept_psnr < 25 and findings.enough_vertices
+    told = next(text for text in findings.warnings if "small details are lost" in text)
+    assert f"about {findings.enough_vertices:,} would keep 30 dB (--surface.vertices" in told
+    enough = FLDMExperiment(surface=Surface(vertices=findings.enough_vertices))
+    again = examined(read_asset(tmp_path / "a.obj"), enough)
+    assert again.kept_psnr == pytest.approx(30, abs=0.5) and not any("lost" in t for t in again.warnings)

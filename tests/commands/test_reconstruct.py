@@ -9,9 +9,11 @@ from flx.commands.reconstruct import Reconstruct, reconstruct
 pytestmark = pytest.mark.slow
 
 
-def test_an_obj_is_reconstructed_as_the_same_obj_and_its_image_keeps_its_alpha(tmp_path):
+def test_an_obj_is_reconstructed_as_the_same_obj_and_its_image_keeps_its_alpha(tmp_path, capsys):
     path, out = saved(tmp_path / "in"), tmp_path / "out"
     reconstruct(Reconstruct(path, vertices=60, texture_size=32, out=out, format="obj"))
+    stages = [line.split()[0] for line in capsys.readouterr().err.splitlines() if " s so far)" in line]
+    assert stages == ["1/4", "2/4", "3/4", "4/4"]
     assert changed(path, out / "reconstruction.obj") == [
         (b"mtllib my cube.mtl\n", b"mtllib reconstruction.mtl\n")
     ]

@@ -82,7 +82,7 @@ def test_a_texel_inside_a_large_face_shows_a_point_of_one_of_its_repeats():
 
 
 def test_a_face_that_repeats_its_texture_without_end_is_refused():
-    with pytest.raises(ValueError, match=r"face 1 spans 1000 repeats of texture 0.*unwrap"):
+    with pytest.raises(ValueError, match=r"face 1 spans 1,000 repeats of texture 0.*unwrap"):
         atlas_texels(quad([(0, 0), (1, 0), (1, 1), (0, 1000)]), 0, 16, 16)
 
 

@@ -8,8 +8,9 @@ from safetensors import safe_open
 from safetensors.numpy import save
 
 from flx.fields.diffusion import Scaling
-from flx.pipeline.codec import BARYCENTRIC, RELEASED, Codec, load_codec, save_codec
+from flx.pipeline.codec import Codec, load_codec, save_codec
 from flx.pipeline.tensors import load_tensors
+from flx.pipeline.weights import BARYCENTRIC, RELEASED
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from flx.assets.formats.ply import parse_ply
 from flx.geometry.color import srgb
 from flx.types import SLOTS, Slot
 
+PICTURES = (".png", ".jpg", ".jpeg")
 Picture = UInt8[Any, "H W C"]  # an image that was given as an array: RGB, or RGBA
 
 
@@ -33,6 +34,7 @@ class Contents(NamedTuple):
     materials: list[Material]
     load_image: Callable[[str], bytes | Picture]
     hint: str = ""  # where a texture was looked for
+    beside: Path | None = None  # an image in the folder of a mesh that names none
     container: Gltf | ObjSource | None = None
     missing_images: tuple[str, ...] = ()
     polygons: int = 0  # faces of more than three corners, cut
@@ -114,6 +116,7 @@ def _read_obj(path: Path) -> Contents:
         materials=materials,
         load_image=partial(load_beside, path.parent),
         hint=f"{path.parent / lost[-1]} does not exist" if lost else hint,
+        beside=None if maps else image_beside(path),
         container=ObjSource(path.parent, content, libraries, maps, obj.rows, obj.colors),
         missing_images=tuple(missing),
         polygons=obj.polygons,
@@ -150,10 +153,18 @@ def _read_ply(path: Path) -> Contents:
         materials=[Material(path.stem, image=image) for image in images],
         load_image=partial(load_beside, path.parent),
         hint="no comment TextureFile",
+        beside=None if ply.images else image_beside(path),
         polygons=ply.polygons,
         unread=ply.unread,
         found_images=tuple(map(substitution, renames.items())),
     )
+
+
+def image_beside(mesh: Path) -> Path | None:
+    """An image in the mesh's folder: of its name, or the only one there."""
+    images = sorted(file for file in mesh.parent.iterdir() if file.suffix.lower() in PICTURES)
+    named = [file for file in images if file.stem.lower() == mesh.stem.lower()]
+    return named[0] if named else images[0] if len(images) == 1 else None
 
 
 def load_beside(folder: Path, name: str) -> bytes:

@@ -1,0 +1,23 @@
+"""The files of FL-VAEs: where the released ones are, and how an FL-VAE is configured, without JAX."""
+
+import json
+from pathlib import Path
+
+from flx.config import FLVAE
+from flx.pipeline.tensors import Tensors, load_tensors, one_line
+
+WEIGHTS = Path(__file__).parent.parent / "weights"
+RELEASED = WEIGHTS / "flvae.safetensors"
+BARYCENTRIC = WEIGHTS / "barycentric.safetensors"  # a baseline, whose decoder interpolates invariants
+
+
+def read_weights(path: Path) -> tuple[FLVAE, Tensors]:
+    """The configuration and the parameters in a file. Raises ValueError where it is missing or damaged."""
+    try:
+        text, tensors = load_tensors(path, "flvae")
+        return FLVAE(**json.loads(text)), tensors
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} holds no FL-VAE weights ({one_line(error)}); train some with "
+            "`flx train experiments/flvae.py`, or leave --weights out for the released ones"
+        ) from None
