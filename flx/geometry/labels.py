@@ -44,9 +44,7 @@ class LabelMap(NamedTuple):
         return self.numbers[rows % height, columns % width]
 
 
-def image_labels(
-    mesh: TexturedMesh, image: UInt8[Any, "H W 3"], palette: Palette | None = None
-) -> LabelMap:
+def image_labels(mesh: TexturedMesh, image: UInt8[Any, "H W 3"], palette: Palette | None = None) -> LabelMap:
     """The labels that an image of flat colours gives a surface by its UVs, whatever its textures are.
 
     A colour is flat where a texel and its eight neighbours have it. Other texels are borders that a program
@@ -153,7 +151,7 @@ def _numbered(found: Int[Any, "N"], palette: Palette | None) -> tuple[Palette, I
             raise ValueError(f"it has {len(found)} flat colour; paint at least two regions")
         return colors, np.arange(len(found), dtype=np.int32)
     away = np.abs(colors[:, None].astype(int) - palette).max(2)
-    odd: Bool[Any, "N"] = away.min(1, initial=256) > CLOSE
+    odd = away.min(1, initial=256) > CLOSE
     if odd.any():
         color, nearest = colors[odd][0], palette[np.argsort(away[odd][0], kind="stable")[:3]]
         raise ValueError(

@@ -31,7 +31,13 @@ STEERING = {
     "train.log_every": "",
     "train.checkpoint_every": "",
 }
-PLACES = ("surface.path", "surface.texture", "weights", "images.folder")  # the fingerprint says what is there
+PLACES = (
+    "surface.path",
+    "surface.texture",
+    "surface.labels",
+    "weights",
+    "images.folder",
+)  # the fingerprint says what is there
 OPEN = ("model.latents", "model.invariants", "model.blocks")  # left open by records without a version
 _KINDS = {kind.__name__: kind for kind in (FLVAEExperiment, FLDMExperiment)}
 
@@ -170,7 +176,8 @@ def _read(path: Path) -> dict[str, Any]:
         if "flx" not in record and record["kind"] == "FLDMExperiment":
             record["config"]["model"] |= {"latents": None, "invariants": None}  # they were not the codec's
         if record["kind"] == "FLDMExperiment":
-            record["config"]["model"] = ADDED | record["config"]["model"]
+            for part, meant in ADDED.items():
+                record["config"][part] = meant | record["config"][part]
     except (ValueError, KeyError, TypeError) as error:
         message = f"{path} does not record a run ({error}); restore it, or train under another --name"
         raise ValueError(message) from None

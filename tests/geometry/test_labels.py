@@ -96,7 +96,9 @@ def test_a_vertex_has_the_label_that_fills_most_of_its_ring():
     """Left of the border by a tenth of an edge, and right of it."""
     image = np.zeros((200, 200, 3), np.uint8)
     grid = square_grid(11)
-    grid = Triangulation((grid.vertices - grid.vertices.min(0)) / np.ptp(grid.vertices, axis=0).max(), grid.faces)
+    grid = Triangulation(
+        (grid.vertices - grid.vertices.min(0)) / np.ptp(grid.vertices, axis=0).max(), grid.faces
+    )
     for border in (90, 110):
         image[:, :border], image[:, border:] = (0, 0, 0), (255, 255, 255)
         numbers = labels_on(image_labels(WHOLE, image), grid)
