@@ -2,7 +2,8 @@
 
 The file is a safetensors with nothing executable in it: averaged weights and complete configuration of the
 network, latent scaling, the FL-VAE, the files of the asset that it learnt from, and one triangulated copy of
-it, with its labels if it has any. Using it needs neither the optimiser nor the run folder nor the other copies of the training.
+it, with its labels if it has any. Using it needs neither the optimiser nor the run folder nor the other
+copies of the training.
 """
 
 import json
@@ -318,11 +319,8 @@ def _labels(tensors: dict[str, np.ndarray], vertices: int, count: int) -> Labels
     if not count:
         return None
     palette, numbers = tensors["labels/palette"], tensors["labels/numbers"]
-    if (
-        palette.shape != (count, 3)
-        or numbers.shape != (vertices,)
-        or not 0 <= numbers.min() <= numbers.max() < count
-    ):
+    shapes = palette.shape, numbers.shape
+    if shapes != ((count, 3), (vertices,)) or not 0 <= numbers.min() <= numbers.max() < count:
         raise ValueError(f"labels of {len(numbers)} vertices for {vertices}, {len(palette)} for {count}")
     return Labels(palette, numbers)
 

@@ -182,7 +182,8 @@ def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
         if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
-            return one(params, *jax.tree.map(lambda a: a[0], batch), key), {}
+            tables, latents, t, labels = jax.tree.map(lambda a: a[0], batch)
+            return one(params, tables, latents, t, labels, key), {}
         keys = jax.random.split(key, batch.latents.shape[0])
         each = jax.vmap(one, (None, 0, 0, 0, 0, 0))(params, *batch, keys)
         return jnp.mean(each), {}

@@ -29,7 +29,8 @@ _LARGEST_REACH = 0.085  # share of the vertices; the paper's 28 rings are 0.081 
 def complete(model: FLDM, codec: FLVAE, vertices: int, labels: int = 0) -> FLDM:
     """The model that is really trained: what the experiment leaves open (None) follows from codec and mesh.
 
-    There are as many conditions as labels. Raises ValueError where the experiment asks for something that the codec's codes do not fit.
+    It has as many conditions as there are labels. Raises ValueError where the experiment asks for something
+    that the codec's codes or the labels do not fit.
     """
     for name in ("latents", "invariants"):
         wanted, actual = getattr(model, name), getattr(codec, name)
