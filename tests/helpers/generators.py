@@ -61,6 +61,8 @@ def ball_generator(folder: Path, labelled: bool = False) -> Generator:
     files = {"files/ball.ply": colored_sphere()}
     labels, place = None, None
     if labelled:
+        kernel = params["params"]["embedding"]["RealDense_0"]["kernel"]
+        params["params"]["embedding"]["RealDense_0"]["kernel"] = kernel.at[-3:].multiply(30)
         files[place := "labels/zones.ply"] = labelled_sphere()
         (folder / "zones.ply").write_bytes(files[place])
         found = read_labels(folder / "zones.ply", asset)
