@@ -17,7 +17,7 @@ from PIL import Image
 from flx.assets.asset import own_painting
 from flx.assets.vase import vase_asset
 from flx.assets.write import write
-from flx.launch import keep_compiled_programs, main
+from flx.launch import keep_compiled_programs, main, use_large_pages
 from flx.machine import Memory
 
 ROOT = Path(__file__).parent.parent
@@ -329,3 +329,19 @@ print(len(kept) > 0, first, double())
     assert (done.stdout.split(), done.stderr) == (["True", "2.0", "2.0"], "")
     (programs,) = (tmp_path / "kept").iterdir()
     assert programs.stat().st_mode & 0o077 == 0  # whoever can write here runs code
+
+
+def test_the_launcher_starts_again_with_large_pages_unless_the_user_chose(monkeypatch):
+    started = []
+    monkeypatch.setattr(os, "confstr_names", {"CS_GNU_LIBC_VERSION": 2}, raising=False)
+    monkeypatch.setattr(os, "execv", lambda path, words: started.append((path, words)))
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    monkeypatch.setattr(sys, "orig_argv", ["python", "-m", "flx.launch", "train"])
+    use_large_pages()
+    assert started == [(sys.executable, [sys.executable, "-m", "flx.launch", "train"])]
+    assert "glibc.malloc.hugetlb=1" in os.environ["GLIBC_TUNABLES"]
+    use_large_pages()  # the process that was started
+    monkeypatch.delenv("GLIBC_TUNABLES")
+    monkeypatch.setattr(os, "confstr_names", {})  # another C library
+    use_large_pages()
+    assert len(started) == 1

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.config import Train
-from flx.training.optimizer import ADAM_RATE, learning_rate, make_optimizer
+from flx.training.optimizer import ADAM_RATE, learning_rate, make_optimizer, muon
 
 
 @given(st.integers(2, 500), st.integers(0, 400), st.floats(1e-4, 1.0), st.floats(0.0, 1.0))
@@ -55,3 +55,36 @@ def test_muon_turns_matrices_by_the_rate_and_leaves_the_rest_to_adam():
     along = -updates["bias"] / np.sign(gradient["dense"]["bias"])
     np.testing.assert_allclose(along, along[0], rtol=1e-3)  # Adam's first step knows the signs alone
     assert 1 < along[0] / (0.1 * ADAM_RATE) < 2  # longer than the rate by Nesterov's momentum
+
+
+def test_muon_on_stacks_is_muon_on_each_kernel():
+    """Kernels of one shape are updated together; each as if it were alone."""
+    key = lambda n: jax.random.key(n)  # noqa: E731
+    params = {
+        "lift": {"kernel": jax.random.normal(key(0), (2, 5, 8)), "bias": jax.random.normal(key(1), (8,))},
+        "before": {"kernel": jax.random.normal(key(2), (3, 2, 5, 8)), "scale": jnp.ones((3, 4))},
+        "head": {"output": jax.random.normal(key(3), (8, 5))},
+    }
+    rate = lambda step: 0.1 / (1 + step)  # noqa: E731
+    dimensions = jax.tree.map_with_path(
+        lambda path, a: (
+            optax.contrib.MuonDimensionNumbers(a.ndim - 2, a.ndim - 1)
+            if path[-1].key in ("kernel", "output")
+            else None
+        ),
+        params,
+    )
+    slower = lambda step: ADAM_RATE * rate(step)  # noqa: E731
+    plain = optax.contrib.muon(
+        rate, adam_learning_rate=slower, muon_weight_dimension_numbers=lambda _: dimensions
+    )
+    ours, both = muon(rate), []
+    for optimizer in (plain, ours):
+        state, moved = optimizer.init(params), params
+        for n in range(3):
+            gradient = jax.tree.map(lambda p, n=n: jnp.sin(p + n), params)
+            updates, state = optimizer.update(gradient, state, moved)
+            moved = optax.apply_updates(moved, updates)
+        both.append(moved)
+    for a, b in zip(*map(jax.tree.leaves, both), strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-5, atol=2e-6)

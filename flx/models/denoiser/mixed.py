@@ -16,10 +16,10 @@ from jaxtyping import Complex, Float
 
 from flx.config import FLDM
 from flx.fields import algebra, convolution
-from flx.fields.stencils import stencils
+from flx.fields.stencils import Stencils, of_rings, stencils
 from flx.models.denoiser.unet import UNet, small
 from flx.models.layers import PairsDense, RealDense
-from flx.types import OneRings, Pooling
+from flx.types import Pooling
 
 Fields = tuple[Float[Array, "..."], Float[Array, "..."]]  # vectors and invariants, [V, 2C] each
 
@@ -46,7 +46,7 @@ class MixedConv(nn.Module):
     config: FLDM
 
     @nn.compact
-    def __call__(self, fields: Fields, rings: OneRings, embedding: Float[Array, "*V E"]) -> Fields:
+    def __call__(self, fields: Fields, rings: Stencils, embedding: Float[Array, "*V E"]) -> Fields:
         precision, channels = self.config.precision, fields[0].shape[-1] // 2
         x, t = (PairsNorm()(field, rings.masses) for field in fields)
         mean, reflected, gradient, smooth, divergence = stencils(rings, x, t)
@@ -70,7 +70,7 @@ class MixedBlock(nn.Module):
 
     @nn.compact
     def __call__(
-        self, fields: Fields, rings: OneRings, embedding: Float[Array, "*V E"]
+        self, fields: Fields, rings: Stencils, embedding: Float[Array, "*V E"]
     ) -> tuple[Fields, None]:
         y = fields
         for _ in range(2):
@@ -98,6 +98,7 @@ class MixedDenoiser(UNet):
     """The U-Net whose features are vectors and invariants, as the channels of Z are."""
 
     Block = MixedBlock
+    level = staticmethod(of_rings)
     pool = staticmethod(partial(_between, convolution.pool))
     unpool = staticmethod(partial(_between, convolution.unpool))
 

@@ -15,7 +15,7 @@ from jaxtyping import Complex, Float, Float64
 from flx.config import FLDM, Blocks
 from flx.fields import diffusion
 from flx.models.layers import RealMLP, complex_initializer, timestep_features
-from flx.types import MeshTables, OneRings
+from flx.types import MeshTables
 
 Features = Any  # an array [V, ...], or a pair of them
 
@@ -30,7 +30,8 @@ class UNet(nn.Module):
     blocks: Blocks
 
     # What a subclass provides.
-    Block: ClassVar[Any]  # (config)(features, rings, embedding) → (features, None)
+    level: ClassVar[Any]  # (one-rings of a level) → what the blocks there see of the mesh
+    Block: ClassVar[Any]  # (config)(features, level, embedding) → (features, None)
     split: ClassVar[Any]  # (z) → features
     dense: ClassVar[Any]  # (channels, name, features) → features: a layer at each vertex
     pool: ClassVar[Any]  # (pooling, fine features) → coarse features
@@ -51,7 +52,7 @@ class UNet(nn.Module):
 
         Raises ValueError where ρ is not what `config.conditions` says.
         """
-        fine, pooling, coarse = tables
+        fine, pooling, coarse = self.level(tables.fine), tables.pooling, self.level(tables.coarse)
         before, middle, after = self.blocks
         channels = self.config.channels
         embedding = embed(self.config, t, rho)
@@ -65,7 +66,7 @@ class UNet(nn.Module):
         x = self.run("after", after, x, fine, embedding)
         return self.head(x)
 
-    def run(self, name: str, count: int, x: Features, rings: OneRings, embedding: Array) -> Features:
+    def run(self, name: str, count: int, x: Features, level: Any, embedding: Array) -> Features:
         """`count` blocks of one shape, scanned over stacked parameters: compiled once."""
         scan = nn.scan(
             self.Block,
@@ -74,7 +75,7 @@ class UNet(nn.Module):
             in_axes=(nn.broadcast, nn.broadcast),  # pyright: ignore[reportArgumentType]
             length=count,
         )
-        return scan(self.config, name=name)(x, rings, embedding)[0]
+        return scan(self.config, name=name)(x, level, embedding)[0]
 
 
 def embed(

@@ -67,6 +67,7 @@ class Denoiser(UNet):
     """The U-Net whose features are tangent vectors, [V, C]."""
 
     Block = FCResNetBlock
+    level = staticmethod(lambda rings: rings)
     pool, unpool = staticmethod(convolution.pool), staticmethod(convolution.unpool)
 
     def split(self, z: Complex[Array, "V D"]) -> Complex[Array, "V D"]:

@@ -9,6 +9,7 @@ from helpers.surfaces import icosphere, torus
 
 from flx.config import FLDM
 from flx.fields.algebra import real_pairs, tangent_noise
+from flx.fields.stencils import of_rings
 from flx.models.denoiser.mixed import MixedBlock, MixedDenoiser
 from flx.models.denoiser.unet import denoise
 
@@ -23,10 +24,10 @@ def test_a_block_turns_with_the_frames():
     alpha = frames(len(x))
     block = MixedBlock(CONFIG)
     start = (real_pairs(x), real_pairs(t))
-    params = block.init(jax.random.key(2), start, tables.fine, jnp.ones(16))
+    params = block.init(jax.random.key(2), start, of_rings(tables.fine), jnp.ones(16))
 
     def run(x: jax.Array, rings) -> list[jax.Array]:
-        pairs, _ = block.apply(params, (real_pairs(x), start[1]), rings, jnp.ones(16))  # type: ignore
+        pairs, _ = block.apply(params, (real_pairs(x), start[1]), of_rings(rings), jnp.ones(16))  # type: ignore
         return [as_complex(f) for f in pairs]
 
     here, still = run(x, tables.fine)
@@ -36,7 +37,7 @@ def test_a_block_turns_with_the_frames():
 
 
 def test_a_block_that_adds_nothing_is_the_identity():
-    rings = tables_of(torus(8, 6)).fine
+    rings = of_rings(tables_of(torus(8, 6)).fine)
     start = tuple(real_pairs(f) for f in fields(48))
     block = MixedBlock(CONFIG)
     shapes = jax.eval_shape(block.init, jax.random.key(2), start, rings, jnp.ones(16))
