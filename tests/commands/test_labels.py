@@ -11,6 +11,7 @@ from flx.assets.arrays import from_arrays
 from flx.assets.asset import own_painting
 from flx.assets.read import read_asset
 from flx.assets.write import write
+from flx.geometry.atlas import atlas_texels
 from flx.geometry.regions import PALETTE
 from flx.launch import main
 from flx.pipeline.labels import read_labels
@@ -41,9 +42,13 @@ def test_what_is_proposed_is_read_back(ball, tmp_path, capsys):
     assert main(words) == 0
     said = capsys.readouterr()
     assert said.out.strip() == str(out) and re.search(r"3 labels, by area #e69f00 (49|50|51)", said.err)
-    labels, image = read_labels(out, read_asset(ball / "ball.glb")), np.asarray(Image.open(out))
+    asset, image = read_asset(ball / "ball.glb"), np.asarray(Image.open(out))
+    labels, shown = read_labels(out, asset), atlas_texels(asset.mesh, 0, 64, 128).covered
     assert sorted(map(tuple, labels.palette)) == sorted(map(tuple, PALETTE[:3]))
-    np.testing.assert_array_equal(labels.palette[labels.numbers], image)
+    same = (labels.palette[labels.numbers] == image).all(2)
+    assert (
+        shown.sum() > 3000 and same[shown].mean() > 0.99
+    )  # but for corners that are thinner than three texels
     assert (image[20:44, 10:54] == PALETTE[0]).all()  # all of the upper half has one colour
     assert (image[20:28, 90:102] != image[36:44, 90:102]).any(2).all()
     assert main(words) == 2 and "is there already; name another file" in capsys.readouterr().err
