@@ -46,9 +46,7 @@ def test_what_is_proposed_is_read_back(ball, tmp_path, capsys):
     labels, shown = read_labels(out, asset), atlas_texels(asset.mesh, 0, 64, 128).covered
     assert sorted(map(tuple, labels.palette)) == sorted(map(tuple, PALETTE[:3]))
     same = (labels.palette[labels.numbers] == image).all(2)
-    assert (
-        shown.sum() > 3000 and same[shown].mean() > 0.99
-    )  # but for corners that are thinner than three texels
+    assert shown.sum() > 3000 and same[shown].mean() > 0.98  # but for rims thinner than three texels
     assert (image[20:44, 10:54] == PALETTE[0]).all()  # all of the upper half has one colour
     assert (image[20:28, 90:102] != image[36:44, 90:102]).any(2).all()
     assert main(words) == 2 and "is there already; name another file" in capsys.readouterr().err
