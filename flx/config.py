@@ -24,7 +24,7 @@ Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "fram
 
 
 # What records of earlier versions lack, and meant.
-ADDED = {"draws": "uniform", "emphasis": 0.0, "start": "random"}
+ADDED = {"draws": "uniform", "emphasis": 0.0, "label_dropout": 0.1, "labels": None, "start": "random"}
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
 MOST_LAYERS, MOST_OTHER = 100, 1 << 20
@@ -106,7 +106,8 @@ class FLDM:
     filter_width: int = 8  # channels inside the filter
     vn_layers: int = 3  # layers of each VN MLP
     embedding: int = 128  # width of the scalar embedding π
-    conditions: int = 0  # m, real conditions ρ at each vertex
+    conditions: int = 0  # m, real conditions ρ at each vertex: as many as labels
+    label_dropout: float = 0.1  # probability that a draw sees no labels, for samples without them
     blocks: Blocks | None = None
     predicts: Literal["noise", "velocity"] = "noise"  # the paper's; ours for short trainings
     # Steps t that training draws: the paper's; ours, most of them where shapes are decided.
@@ -119,7 +120,9 @@ class FLDM:
 
     def __post_init__(self) -> None:
         _check("model", self, channels=1, filter_width=1, vn_layers=1, embedding=4, conditions=0, steps=1)
-        _check("model", self, beta_start=0, beta_end=0, emphasis=0)
+        _check("model", self, beta_start=0, beta_end=0, emphasis=0, label_dropout=0)
+        if self.label_dropout > 1:
+            raise ValueError(f"model.label_dropout is {self.label_dropout}; give a probability, 0 to 1")
         if self.embedding % 2:
             raise ValueError(f"model.embedding is {self.embedding}; make it even, for cosines and sines")
         if self.blocks is not None and not _are_blocks(self.blocks):
@@ -142,6 +145,7 @@ class Surface:
 
     path: str = ""  # a .glb, .gltf, .obj or .ply file; empty: the vase that flx makes itself
     texture: str | None = None  # an image to use instead of the file's own
+    labels: str | None = None  # An image of flat colours on the same UVs, or a PLY, that says what is where.
     vertices: int = 30_000  # Vertices of each copy: more for finer detail, and more time.
     copies: int = 500  # Independent triangulations of the mesh.
     slots: int = 16  # most neighbours of a vertex, itself included
@@ -254,11 +258,15 @@ class Controls:
     fill: Path | None = None  # the same the other way round: what is white becomes new
     mesh: Path | None = None  # another mesh file to paint; it needs no texture
     scale: float = 1.0  # size of details: 2 makes them twice as large, 0.5 half as large
+    labels: Path | None = None  # what goes where: an image of the learnt labels, on the UVs of the mesh
+    guidance: float = 1.0  # weight of the labels: 0 ignores them, 1 follows them, more exaggerates
 
     def __post_init__(self) -> None:
         _check("controls", self)
         if self.keep and self.fill:
             raise ValueError(f"keep is {self.keep} and fill {self.fill}; give one, each says what both would")
+        if not 0 <= self.guidance < float("inf"):
+            raise ValueError(f"guidance is {self.guidance}; give 0 or more, such as 2")
         if not 0 < self.scale < float("inf"):
             raise ValueError(f"scale is {self.scale}; give a number more than 0, such as 2")
         if self.mesh is not None and self.strength < 1:

@@ -15,6 +15,7 @@ from flx.geometry.sampling import surface_colors
 from flx.types import Layer
 
 INSTALL = "pip install '.[uv]' in the clone"
+NEW_CHARTS = "charts by xatlas"  # what a texture is made from that lies on them
 PADDING = 4  # texels between charts on a texture of about 1024²: seams stay closed down to a quarter of it
 
 
@@ -55,7 +56,7 @@ def unwrapped(asset: Asset) -> Asset:
         report=asset.report._replace(vertices_read=sum(len(part.positions) for part in parts)),
         parts=parts,
         paints=tuple(paint._replace(textures={"base_color": 0}) for paint in asset.paints),
-        sources={"base_color": (Texture("base color", None, flat=False),)},
+        sources={"base_color": (Texture("base color", None, flat=False, made_from=NEW_CHARTS),)},
         map_names={},
         corner_vertices=corners,
         container=None,

@@ -22,6 +22,7 @@ from flx.geometry.atlas import check_repeats, uv_areas
 from flx.geometry.copies import check_memory
 from flx.machine import memory, room
 from flx.models.denoiser.depth import complete
+from flx.pipeline.labels import read_labels
 from flx.pipeline.weights import RELEASED, read_weights
 from flx.training.costs import Costs, costs_of
 from flx.types import SLOTS
@@ -50,9 +51,11 @@ class Doctor:
         if self.vertices is not None:
             plan = replace(plan, surface=replace(plan.surface, vertices=self.vertices))
         try:
-            complete(plan.model, _codec(plan), plan.surface.vertices)
+            codec = _codec(plan)
             check_memory(plan.surface.vertices, plan.surface.copies)
             asset = read_asset(self.mesh, self.texture)
+            labels = plan.surface.labels and read_labels(Path(plan.surface.labels), asset)
+            complete(plan.model, codec, plan.surface.vertices, len(labels.palette) if labels else 0)
             with faults_of(asset.path):
                 check_repeats(asset.mesh)
         except (ValueError, OSError) as refusal:
@@ -133,7 +136,7 @@ def _warnings(
         (median < LEAST_PIXELS, f"only {ring}: fewer vertices would give the same result"),
         (
             max(report.materials, report.parts) > 1,
-            f"{kinds} are learnt as one texture: they will mix; to keep them apart, learn each alone",
+            f"{kinds} are learnt as one texture: they will mix; to keep them apart, name labels (--surface.labels)",
         ),
         (
             20 * components > vertices,

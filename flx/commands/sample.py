@@ -56,7 +56,7 @@ def sample(options: Sample) -> Path:
     from flx.pipeline.generator import sampler_named
     from flx.pipeline.inpainting import REPEATS, kept_texels
     from flx.pipeline.transfer import vertex_count
-    from flx.pipeline.variations import generate
+    from flx.pipeline.variations import check_labels, generate
     from flx.stopping import keeping
     from flx.training.load import load_generator
 
@@ -69,6 +69,7 @@ def sample(options: Sample) -> Path:
     chosen = sampler_named(options.sampler, generator.alphas, options.steps, *rules)
     other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
     asset = prepared_for(other or generator.asset, options.format)
+    check_labels(generator, options.controls, asset)
     up = options.up or generator.experiment.surface.up
     if options.variants:
         check_variants(asset, options.format)

@@ -2,7 +2,8 @@
 
 The file is a safetensors with nothing executable in it: averaged weights and complete configuration of the
 network, latent scaling, the FL-VAE, the files of the asset that it learnt from, and one triangulated copy of
-it. Using it needs neither the optimiser nor the run folder nor the other copies of the training.
+it, with its labels if it has any. Using it needs neither the optimiser nor the run folder nor the other
+copies of the training.
 """
 
 import json
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jax.tree_util import Partial
-from jaxtyping import Complex64, Float64
+from jaxtyping import Complex64, Float64, Int32
 
 from flx import __version__
 from flx.assets.asset import Asset
@@ -27,12 +28,15 @@ from flx.config import FLDM, FLVAE, STEPS, FLDMExperiment, Sampler, from_json
 from flx.fields import samplers
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import Scaling, diffuse
+from flx.fields.guidance import Condition, guided
 from flx.files import temporary_folder, write_atomically
+from flx.geometry.labels import LabelMap
 from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.mixed import MixedDenoiser
 from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.codec import Codec, initial_params, odd_parameter
+from flx.pipeline.labels import Labels, one_hot, read_labels
 from flx.pipeline.tensors import load_tensors, one_line, save_tensors
 from flx.types import MeshTables, Triangulation
 
@@ -51,17 +55,19 @@ class Source(NamedTuple):
     texture: str | None  # the image that replaces the mesh's own
     digest: str  # of the asset
     files: dict[str, bytes]  # by their path in the asset's folder
+    labels: str | None = None  # the name of the file that labels it
 
 
 @dataclass(frozen=True)
 class Generator:
     """What makes new codes of a surface.
 
-    `denoise(params, tables, z, t) → ε̂` finds the noise in z on the tables of a mesh copy. Any hashable
-    function may stand in for a trained network; it is compiled once.
+    `denoise(params, tables, z, t) → ε̂` finds the noise in z on the tables of a mesh copy; where there are
+    labels, it is also given a `Condition`. Any hashable function may stand in for a trained network; it is
+    compiled once.
     """
 
-    denoise: Callable[[Any, MeshTables, jax.Array, jax.Array], jax.Array]
+    denoise: Callable[..., jax.Array]
     params: Any
     alphas: Float64[np.ndarray, "T"]  # the noise schedule
     scaling: Scaling
@@ -70,6 +76,7 @@ class Generator:
     source: Source
     experiment: FLDMExperiment  # as it was trained
     step: int  # steps trained
+    labels: Labels | None = None  # those that it learnt
 
     def sample(
         self,
@@ -81,6 +88,8 @@ class Generator:
         near: Complex64[np.ndarray, "V D"] | None = None,
         strength: float = 1.0,
         repeats: tuple[int, int] | None = None,
+        labels: Int32[np.ndarray, "V"] | None = None,
+        guidance: float = 1.0,
     ) -> Complex64[np.ndarray, "V D"]:
         """New codes at the vertices of a copy: anything with `tables`, the generator's own unless given.
 
@@ -95,9 +104,12 @@ class Generator:
             strength: How far it may go from `near`: the share of the schedule, and of the steps, that is
                 taken; 1 forgets `near`.
             repeats: Length and times of the stretches of steps that are repeated (`samplers.repeated`).
+            labels: The label of each vertex, by its place in `self.labels.palette`. Unless given, the
+                generator's own on its own copy, and none on another.
+            guidance: Weight of the labels: 0 ignores them, 1 follows them, more exaggerates.
 
-        Raises ValueError for a sampler that is not known, for more steps than the schedule has, and for a
-        strength outside (0, 1].
+        Raises ValueError for a sampler that is not known, for more steps than the schedule has, for a
+        strength outside (0, 1], and for labels or guidance where no labels were learnt.
         """
         if not 0 < strength <= 1:
             raise ValueError(f"strength is {strength}; give more than 0 and at most 1")
@@ -107,10 +119,40 @@ class Generator:
         start, signal = np.zeros((len(tables.fine.masses), self.codec.config.latents), np.complex64), 0.0
         if near is not None and strength < 1:
             start, signal = self.scaling.to_diffusion(near), self.alphas[int(chosen.table["t"][0])]
+        condition = self._condition(len(start), labels if copy else self._own(labels), guidance)
         rules = (self.denoise, chosen.step, chosen.memory)
         bound = hook if hook is None or isinstance(hook, Partial) else Partial(hook)
-        z = _draw(*rules, bound, self.params, tables, chosen.table, start, jnp.float32(signal), key)
+        z = _draw(
+            *rules, bound, self.params, tables, chosen.table, start, jnp.float32(signal), key, condition
+        )
         return self.scaling.to_latents(np.asarray(z))
+
+    def _condition(
+        self, vertices: int, labels: Int32[np.ndarray, "V"] | None, guidance: float
+    ) -> Condition | None:
+        """What the network sees of labels; None where it learnt none."""
+        if self.labels is None:
+            if labels is None and guidance == 1:
+                return None
+            what = "labels are given" if labels is not None else f"guidance is {guidance:g}"
+            raise ValueError(f"{what}, but none were learnt; train with --surface.labels IMAGE")
+        count = len(self.labels.palette)
+        if labels is None or guidance == 0:
+            return Condition(jnp.zeros((vertices, count)))
+        rho = jnp.asarray(one_hot(labels, count))
+        return Condition(rho, None if guidance == 1 else jnp.float32(guidance))
+
+    def _own(self, labels: Int32[np.ndarray, "V"] | None) -> Int32[np.ndarray, "V"] | None:
+        return self.labels.numbers if labels is None and self.labels else labels
+
+    @cached_property
+    def labelled(self) -> LabelMap | None:
+        """The labels of the asset's surface, None where it has none."""
+        if self.labels is None or self.source.labels is None:
+            return None
+        asset = self.asset  # first: it writes the files
+        path = Path(self.__dict__["_folder"].name, self.source.labels)
+        return read_labels(path, asset, self.labels.palette)
 
     @cached_property
     def asset(self) -> Asset:
@@ -146,12 +188,12 @@ def sampler_named(
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _draw(denoise, step, memory, hook, params, tables, table, near, signal, key):
+def _draw(denoise, step, memory, hook, params, tables, table, near, signal, key, condition):
     """Codes as they are diffused, from `near` and the noise of a key; `signal` is the α of `near`."""
     of_start, of_steps = jax.random.split(key)
     start = diffuse(near, tangent_noise(of_start, near.shape), signal)
-    sampler = samplers.Sampler(table, step, memory)
-    return samplers.reverse(lambda z, t: denoise(params, tables, z, t), sampler, start, of_steps, hook)
+    sampler, seen = samplers.Sampler(table, step, memory), () if condition is None else (condition,)
+    return samplers.reverse(lambda z, t: denoise(params, tables, z, t, *seen), sampler, start, of_steps, hook)
 
 
 # --- a learnt one
@@ -162,8 +204,11 @@ class LearntDenoiser(NamedTuple):
 
     network: UNet
 
-    def __call__(self, params: Any, tables: MeshTables, z: jax.Array, t: jax.Array) -> jax.Array:
-        return denoise(self.network, params, tables, z, t)
+    def __call__(
+        self, params: Any, tables: MeshTables, z: jax.Array, t: jax.Array, condition: Condition | None = None
+    ) -> jax.Array:
+        noise = partial(denoise, self.network, params, tables, z, t)
+        return noise() if condition is None else guided(noise, condition)
 
 
 def network_of(model: FLDM) -> UNet:
@@ -177,7 +222,8 @@ def parameter_shapes(model: FLDM, tables: MeshTables) -> Any:
     # Tables of one slot will do: no shape depends on them, and tracing is three times faster.
     narrow = jax.tree.map(lambda a: a[:, :1] if a.ndim > 1 else a, tables)
     z = jax.ShapeDtypeStruct((len(tables.fine.masses), model.latents), jnp.complex64)
-    return jax.eval_shape(network_of(model).init, jax.random.key(0), narrow, z, jnp.float32(1))
+    rho = jax.ShapeDtypeStruct((z.shape[0], model.conditions), jnp.float32) if model.conditions else None
+    return jax.eval_shape(network_of(model).init, jax.random.key(0), narrow, z, jnp.float32(1), rho)
 
 
 def learnt_generator(
@@ -188,11 +234,13 @@ def learnt_generator(
     home: Home,
     source: Source,
     step: int,
+    labels: Labels | None = None,
 ) -> Generator:
     """The generator that a trained network makes; `experiment.model` is complete."""
     model = experiment.model
     denoiser = LearntDenoiser(network_of(model))
-    return Generator(denoiser, params, schedule(model), scaling, codec, home, source, experiment, step)
+    alphas = schedule(model)
+    return Generator(denoiser, params, alphas, scaling, codec, home, source, experiment, step, labels)
 
 
 # --- as a file
@@ -203,13 +251,14 @@ def save_generator(path: Path, generator: Generator) -> None:
     surface, source = generator.experiment.surface, generator.source
     # Names without folders: the file may be passed on.
     texture = source.texture and Path(source.texture).name
-    named = replace(surface, path=Path(surface.path).name, texture=texture)
+    labels = surface.labels and Path(surface.labels).name
+    named = replace(surface, path=Path(surface.path).name, texture=texture, labels=labels)
     record = {
         "flx": __version__,
         "step": generator.step,
         "experiment": asdict(replace(generator.experiment, surface=named, weights=None)),
         "codec": asdict(generator.codec.config),
-        "source": {"mesh": source.mesh, "texture": source.texture, "digest": source.digest},
+        "source": {name: value for name, value in source._asdict().items() if name != "files"},
     }
     vertices, faces = generator.home.triangulation
     tensors = {
@@ -220,6 +269,8 @@ def save_generator(path: Path, generator: Generator) -> None:
         "home/faces": np.asarray(faces, np.int32),
         **{f"asset/{name}": np.frombuffer(content, np.uint8) for name, content in source.files.items()},
     }
+    if generator.labels:
+        tensors |= {"labels/palette": generator.labels.palette, "labels/numbers": generator.labels.numbers}
     save_tensors(path, tensors, "generator", json.dumps(record))
 
 
@@ -257,9 +308,21 @@ def _parse(record: dict[str, Any], tensors: dict[str, np.ndarray]) -> Generator:
         Scaling(shift, scale),
         codec,
         Home(home, tables),
-        Source(source["mesh"], source["texture"], source["digest"], files),
+        Source(**source, files=files),
         record["step"],
+        _labels(tensors, len(home.vertices), experiment.model.conditions),
     )
+
+
+def _labels(tensors: dict[str, np.ndarray], vertices: int, count: int) -> Labels | None:
+    """Raises ValueError where they do not fit the mesh or the network."""
+    if not count:
+        return None
+    palette, numbers = tensors["labels/palette"], tensors["labels/numbers"]
+    shapes = palette.shape, numbers.shape
+    if shapes != ((count, 3), (vertices,)) or not 0 <= numbers.min() <= numbers.max() < count:
+        raise ValueError(f"labels of {len(numbers)} vertices for {vertices}, {len(palette)} for {count}")
+    return Labels(palette, numbers)
 
 
 def _flat(prefix: str, params: Any) -> dict[str, np.ndarray]:

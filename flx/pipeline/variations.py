@@ -1,11 +1,13 @@
 """New textures from a generator, as controls ask for them, and its own texture through the codec."""
 
+import sys
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Complex64
+from jaxtyping import Complex64, Int32
+from tqdm import tqdm
 
 from flx.arguments import check_kind, whole
 from flx.assets.asset import Asset, Painting
@@ -14,10 +16,12 @@ from flx.config import STEPS, Controls, Sampler
 from flx.fields.samplers import Hook
 from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.copies import sample_rings
+from flx.geometry.labels import labels_on
 from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, check_size, open_canvas
 from flx.pipeline.generator import Generator, Home
 from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, kept_texels, restored
+from flx.pipeline.labels import read_labels
 from flx.pipeline.transfer import home_on
 from flx.types import Triangulation
 
@@ -29,6 +33,7 @@ class Guided(NamedTuple):
     hook: Hook | None
     near: Complex64[np.ndarray, "V D"] | None  # codes to stay near
     kept: Inpainting | None  # what stays of the texture
+    labels: Int32[np.ndarray, "V"] | None  # what goes where
 
 
 def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
@@ -42,7 +47,43 @@ def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
     near = own_codes(generator, home.triangulation) if controls.strength < 1 else None
     kept = kept_texels(generator.asset, controls)
     held = kept and inpainting(generator, kept, home.triangulation)
-    return Guided(home, held and held.hook, near, held)
+    labels = labels_for(generator, controls, asset, home.triangulation)
+    return Guided(home, held and held.hook, near, held, labels)
+
+
+def check_labels(generator: Generator, controls: Controls, asset: Asset) -> None:
+    """Raises ValueError for labels, or a weight of them, that a generator cannot follow on an asset."""
+    said = f"labels {controls.labels}" if controls.labels else f"guidance {controls.guidance:g}"
+    if generator.labels is None and (controls.labels or controls.guidance != 1):
+        raise ValueError(f"{said}: this run learnt no labels; train one with --surface.labels IMAGE")
+    if controls.labels:
+        assert generator.labels
+        read_labels(controls.labels, asset, generator.labels.palette)
+    elif asset.digest != generator.asset.digest and controls.guidance not in (0, 1):
+        raise ValueError(
+            f"{said}: {asset.path} has no labels to follow; give an image on its UVs with --labels"
+        )
+
+
+def labels_for(
+    generator: Generator, controls: Controls, asset: Asset, triangulation: Triangulation
+) -> Int32[np.ndarray, "V"] | None:
+    """The labels of the vertices of a triangulation of an asset: those of the controls, or the learnt ones.
+
+    None where there are none, as on another mesh, which stderr then says. Raises as `check_labels` does.
+    """
+    check_labels(generator, controls, asset)
+    if generator.labels is None or controls.guidance == 0:
+        return None
+    if controls.labels:
+        return labels_on(read_labels(controls.labels, asset, generator.labels.palette), triangulation)
+    if asset.digest != generator.asset.digest:
+        note = "no labels are given for it, so details go anywhere; --labels IMAGE on its UVs says where"
+        tqdm.write(f"{asset.path.name}: {note}", file=sys.stderr)
+        return None
+    if triangulation is generator.home.triangulation or generator.labelled is None:
+        return generator.labels.numbers
+    return labels_on(generator.labelled, triangulation)
 
 
 def generate(
@@ -81,14 +122,15 @@ def generate(
     controls = controls or Controls()
     if asset is None:
         asset = read_shape(controls.mesh) if controls.mesh else generator.asset
-    home, hook, near, held = guided(generator, controls, asset)
+    home, hook, near, held, labels = guided(generator, controls, asset)
     if held:
         texture_size = texture_size or max(held.kept.texels.shape)
     canvas = open_canvas(asset, home.triangulation, texture_size)
     repeats = REPEATS if held else None
     for n in range(count):
         key = jax.random.fold_in(jax.random.key(seed), n)
-        codes = generator.sample(key, home, steps, sampler, hook, near, controls.strength, repeats)
+        rules = (steps, sampler, hook, near, controls.strength, repeats, labels, controls.guidance)
+        codes = generator.sample(key, home, *rules)
         painting = bake(canvas, generator.codec.decoder(codes))
         yield restored(held, canvas, painting) if held else painting
 

@@ -12,10 +12,13 @@ from jax import Array
 from jaxtyping import Complex64, Int32
 
 from flx.assets.asset import Asset
+from flx.assets.formats.files import read_file
 from flx.config import FLDM, FLDMExperiment, Surface
 from flx.fields import diffusion
 from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.fields.diffusion import Scaling, emphasized, latent_scaling
+from flx.fields.guidance import dropped
+from flx.geometry.labels import LabelMap, labels_on
 from flx.geometry.tables import stack
 from flx.models.denoiser.depth import complete, reach
 from flx.models.denoiser.unet import UNet, denoise, schedule
@@ -29,21 +32,23 @@ from flx.pipeline.generator import (
     parameter_shapes,
     save_generator,
 )
+from flx.pipeline.labels import Labels, in_words, read_labels
 from flx.stopping import keeping
 from flx.training.log import say
 from flx.training.loop import LossFn, kept, restore, train
 from flx.training.run import Run, open_run
-from flx.training.run_asset import keep, read_copy, read_source, source_of
+from flx.training.run_asset import keep, labels_in, read_copy, read_source, source_of
 from flx.training.start import begun, check_start
 from flx.types import MeshTables
 
 
 class MeshBatch(NamedTuple):
-    """Copies of one mesh and their scaled latents."""
+    """Copies of one mesh, their scaled latents and the labels of their vertices."""
 
     tables: MeshTables
     latents: Any  # Complex64 [B, V, D]
     times: Any  # Int32 [B], from 1 to T
+    labels: Any = None  # Int32 [B, V]
 
 
 def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = None) -> Run:
@@ -54,39 +59,52 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     """
     surface, config = experiment.surface, experiment.train
     codec = load_codec(experiment.weights)
-    experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
+    asset = read_source(surface)
+    labelled = read_labels(Path(surface.labels), asset) if surface.labels else None
+    count = len(labelled.palette) if labelled else 0
+    experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices, count))
     network = network_of(experiment.model)
     prior = check_start(experiment.start, experiment.model, codec)
-    asset = read_source(surface)
-    fingerprint = hashlib.sha256((asset.digest + codec.digest()).encode()).hexdigest()
+    fingerprint = fingerprint_of(asset, codec, surface)
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
     emphasis = experiment.model.emphasis
-    copies, scaling, home = load_copies(run, asset, surface, codec, emphasis, workers)
+    copies, scaling, home, labels = load_copies(run, asset, surface, codec, emphasis, labelled, workers)
     keeping(lambda: kept(run))
     source = source_of(run, surface, asset)
     seen = reach(home.tables, network.blocks)
     say(f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices")
+    if labels:
+        say(f"{run.folder}: {surface.labels} has {in_words(labels, home.tables)}")
 
     def batches(step: int) -> MeshBatch:
         rng = np.random.default_rng([config.seed, step])
         chosen = rng.choice(surface.copies, config.batch, replace=config.batch > surface.copies)
-        tables, latents = jax.tree.map(lambda a: a[chosen], copies)
+        tables, latents, numbers = jax.tree.map(lambda a: a[chosen], copies)
         times = draw_times(experiment.model, config.seed, step * config.batch, config.batch)
-        return MeshBatch(tables, latents, times)
+        return MeshBatch(tables, latents, times, numbers)
 
     def save(step: int, params: Any) -> None:
-        generator = learnt_generator(experiment, params, scaling, codec, home, source, step)
+        generator = learnt_generator(experiment, params, scaling, codec, home, source, step, labels)
         save_generator(run.generator, generator)
 
-    first = jax.tree.map(lambda a: a[0], copies)
-    params = jax.jit(network.init)(jax.random.key(config.seed), *first, jnp.float32(1))
+    tables, latents, numbers = jax.tree.map(lambda a: a[0], copies)
+    rho = None if numbers is None else jax.nn.one_hot(numbers, count)
+    params = jax.jit(network.init)(jax.random.key(config.seed), tables, latents, jnp.float32(1), rho)
     if prior:
         params = begun(prior, params)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
     if not run.generator.exists():  # an earlier version trained it
         save(int(state.step), state.ema)
     return run
+
+
+def fingerprint_of(asset: Asset, codec: Codec, surface: Surface) -> str:
+    """A digest of all that a run learns from."""
+    parts = asset.digest + codec.digest()
+    if surface.labels:
+        parts += hashlib.sha256(read_file(Path(surface.labels))).hexdigest()
+    return hashlib.sha256(parts.encode()).hexdigest()
 
 
 def draw_times(model: FLDM, seed: int, first: int, count: int) -> Int32[np.ndarray, "N"]:
@@ -97,12 +115,21 @@ def draw_times(model: FLDM, seed: int, first: int, count: int) -> Int32[np.ndarr
     return (1 + np.floor(numbers * model.steps)).astype(np.int32)
 
 
-def load_copies(
-    run: Run, asset: Asset, surface: Surface, codec: Codec, emphasis: float, workers: int | None = None
-) -> tuple[tuple[MeshTables, Complex64[np.ndarray, "B V D"]], Scaling, Home]:
-    """Tables and scaled latents of all copies of the asset, prepared if need be, and the scaling.
+Copies = tuple[MeshTables, Complex64[np.ndarray, "B V D"], Int32[np.ndarray, "B V"] | None]
 
-    The first copy is also returned as it is: the generator samples on it.
+
+def load_copies(
+    run: Run,
+    asset: Asset,
+    surface: Surface,
+    codec: Codec,
+    emphasis: float,
+    labelled: LabelMap | None = None,
+    workers: int | None = None,
+) -> tuple[Copies, Scaling, Home, Labels | None]:
+    """Tables, scaled latents and labels of all copies of the asset, prepared if need be, and the scaling.
+
+    The first copy is also returned as it is, with its labels: the generator samples on it.
     """
     cache = open_cache(run.prepared, asset, surface, codec)
     copies = prepare(cache, asset, surface, codec, workers)
@@ -114,7 +141,11 @@ def load_copies(
         scaling = emphasized(scaling, effects, emphasis, codec.config.invariants)
     scaled = np.stack([scaling.to_diffusion(z) for z in latents])
     home = Home(copies[0].triangulation, copies[0].tables)
-    return (stack([copy.tables for copy in copies]), scaled), scaling, home
+    tables = stack([copy.tables for copy in copies])
+    if labelled is None:
+        return (tables, scaled, None), scaling, home, None
+    numbers = np.stack([labels_on(labelled, copy.triangulation) for copy in copies])
+    return (tables, scaled, numbers), scaling, home, Labels(labelled.palette, numbers[0])
 
 
 def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
@@ -123,12 +154,14 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     Raises ValueError where the run has no checkpoint yet.
     """
     surface, codec = experiment.surface, load_codec(experiment.weights)
-    experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices))
     asset = read_copy(run, surface)
-    _, scaling, home = load_copies(run, asset, surface, codec, experiment.model.emphasis)
+    labelled = read_labels(labels_in(run, surface), asset) if surface.labels else None
+    count = len(labelled.palette) if labelled else 0
+    experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices, count))
+    _, scaling, home, labels = load_copies(run, asset, surface, codec, experiment.model.emphasis, labelled)
     state = restore(run, experiment.train, parameter_shapes(experiment.model, home.tables))
     source = source_of(run, surface, asset)
-    return learnt_generator(experiment, state.ema, scaling, codec, home, source, int(state.step))
+    return learnt_generator(experiment, state.ema, scaling, codec, home, source, int(state.step), labels)
 
 
 def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
@@ -139,20 +172,24 @@ def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
     """
     alphas = jnp.asarray(schedule(model), jnp.float32)
 
-    def one(params: Any, tables: MeshTables, latents: Array, t: Array, key: Array) -> Array:
+    def one(params: Any, tables: MeshTables, latents: Array, t: Array, labels: Any, key: Array) -> Array:
         noise = tangent_noise(key, latents.shape)
         noisy = diffusion.diffuse(latents, noise, alphas[t])
-        predicted = denoise(network, params, tables, noisy, t.astype(jnp.float32))
+        rho = None
+        if labels is not None:
+            rho = jax.nn.one_hot(labels, model.conditions)
+            rho = dropped(jax.random.fold_in(key, 1), rho, model.label_dropout)
+        predicted = denoise(network, params, tables, noisy, t.astype(jnp.float32), rho)
         errors = jnp.mean(squared_modulus(predicted - noise), -1) / 2
         error = jnp.sum(tables.fine.masses * errors)
         return error / alphas[t] if model.predicts == "velocity" else error
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
         if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
-            tables, latents, t = jax.tree.map(lambda a: a[0], batch)
-            return one(params, tables, latents, t, key), {}
+            tables, latents, t, labels = jax.tree.map(lambda a: a[0], batch)
+            return one(params, tables, latents, t, labels, key), {}
         keys = jax.random.split(key, batch.latents.shape[0])
-        each = jax.vmap(one, (None, 0, 0, 0, 0))(params, *batch, keys)
+        each = jax.vmap(one, (None, 0, 0, 0, 0, 0))(params, *batch, keys)
         return jnp.mean(each), {}
 
     return loss

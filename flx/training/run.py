@@ -31,7 +31,8 @@ STEERING = {
     "train.log_every": "",
     "train.checkpoint_every": "",
 }
-PLACES = ("surface.path", "surface.texture", "weights", "images.folder")  # the fingerprint says what is there
+# The fingerprint says what is there.
+PLACES = ("surface.path", "surface.texture", "surface.labels", "weights", "images.folder")
 OPEN = ("model.latents", "model.invariants", "model.blocks")  # left open by records without a version
 _KINDS = {kind.__name__: kind for kind in get_args(Experiment)}
 

@@ -1,6 +1,7 @@
 """The asset of a run: read from where the experiment says, and copied whole into the run folder.
 
-`asset/files/` holds the mesh with every file that it needs, `asset/texture/` the image that replaces its own.
+`asset/files/` holds the mesh with every file that it needs, `asset/texture/` the image that replaces its own,
+`asset/labels/` that of its labels.
 Reading them gives the same bits as the originals. (Older runs have `asset/asset.glb`.)
 """
 
@@ -43,6 +44,8 @@ def keep(asset: Asset, run: Run, surface: Surface) -> Asset:
     if not path.exists():
         if texture is not None:
             write_atomically(texture, read_file(Path(surface.texture or "")))
+        if surface.labels:
+            write_atomically(labels_in(run, surface), read_file(Path(surface.labels)))
         _copy(asset, path, given=texture is not None)  # last: where it is, all is
     return read_copy(run, surface)
 
@@ -61,7 +64,13 @@ def source_of(run: Run, surface: Surface, asset: Asset) -> Source:
         return path.relative_to(run.asset).as_posix()
 
     contents = {place(path): read_file(path) for path in sorted(files)}
-    return Source(place(mesh), place(texture) if texture else None, asset.digest, contents)
+    labels = place(labels_in(run, surface)) if surface.labels else None
+    return Source(place(mesh), place(texture) if texture else None, asset.digest, contents, labels)
+
+
+def labels_in(run: Run, surface: Surface) -> Path:
+    """Where the run has its labels, if it has any."""
+    return run.asset / "labels" / Path(surface.labels or "").name
 
 
 def _places(run: Run, surface: Surface) -> tuple[Path, Path | None]:

@@ -16,7 +16,14 @@ from flx.pipeline.weights import WEIGHTS
 
 RELEASED = WEIGHTS / "prior.safetensors"
 PARTS = ("before", "coarse", "after")  # of the network: stacks of blocks, of any number
-FREE = ("blocks", "conditions", "draws", "emphasis", "precision")  # what a prior's network may have otherwise
+FREE = (
+    "blocks",
+    "conditions",
+    "draws",
+    "emphasis",
+    "label_dropout",
+    "precision",
+)  # what a prior's network may have otherwise
 
 
 class Prior(NamedTuple):

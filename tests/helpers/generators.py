@@ -10,19 +10,26 @@ from helpers.surfaces import icosphere
 from flx.assets.read import read_asset
 from flx.config import FLDM, FLDMExperiment, Surface
 from flx.fields.diffusion import Scaling
+from flx.geometry.labels import labels_on
 from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.depth import complete
 from flx.pipeline.codec import load_codec
 from flx.pipeline.generator import Generator, Home, Source, learnt_generator, network_of
+from flx.pipeline.labels import Labels, read_labels
+from flx.types import Triangulation
+
+BALL = icosphere(2)
+COLORS = np.random.default_rng(0).integers(0, 256, (162, 3))
 
 
-def colored_sphere() -> bytes:
-    """A PLY of 162 coloured vertices."""
-    sphere, rng = icosphere(2), np.random.default_rng(0)
-    colors = rng.integers(0, 256, (162, 3)).tolist()
-    rows = [f"{x} {y} {z} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(sphere.vertices, colors, strict=True)]
+def colored_sphere(sphere: Triangulation = BALL, colors: np.ndarray = COLORS) -> bytes:
+    """A PLY of coloured vertices: 162, unless another sphere is given."""
+    rows = [
+        f"{x} {y} {z} {r} {g} {b}"
+        for (x, y, z), (r, g, b) in zip(sphere.vertices, colors.tolist(), strict=True)
+    ]
     rows += [f"3 {a} {b} {c}" for a, b, c in sphere.faces]
-    head = ["ply", "format ascii 1.0", "element vertex 162"]
+    head = ["ply", "format ascii 1.0", f"element vertex {len(colors)}"]
     head += [f"property double {axis}" for axis in "xyz"] + [
         f"property uchar {c}" for c in ("red", "green", "blue")
     ]
@@ -30,18 +37,35 @@ def colored_sphere() -> bytes:
     return "\n".join([*head, *rows, ""]).encode()
 
 
-def ball_generator(folder: Path) -> Generator:
-    """An untrained one whose answers are not small; its asset is written to `folder`."""
+def labelled_sphere(sphere: Triangulation = BALL) -> bytes:
+    """The same in three flat colours, by height."""
+    colors = np.array([(0, 0, 0), (200, 0, 0), (0, 0, 200)])
+    return colored_sphere(sphere, colors[np.digitize(sphere.vertices[:, 2], [-0.4, 0.5])])
+
+
+def ball_generator(folder: Path, labelled: bool = False) -> Generator:
+    """An untrained one whose answers are not small; its asset is written to `folder`, and its labels."""
     (folder / "ball.ply").write_bytes(colored_sphere())
     asset = read_asset(folder / "ball.ply")
     codec, sphere = load_codec(), icosphere(2)
     surface = Surface(path="/home/anna/secret/ball.ply", vertices=162, copies=1, up="z")
-    model = complete(FLDM(channels=4, embedding=8, precision="float32", steps=20), codec.config, 162)
+    small = FLDM(channels=4, embedding=8, precision="float32", steps=20)
+    model = complete(small, codec.config, 162, 3 * labelled)
     experiment = FLDMExperiment(model=model, surface=surface, weights="/home/anna/secret/codec.safetensors")
     tables = mesh_tables(sphere)
     z = jnp.zeros((162, 8), jnp.complex64)
-    params = jax.jit(network_of(model).init)(jax.random.key(1), tables, z, jnp.float32(1))
+    rho = jnp.zeros((162, 3)) if labelled else None
+    params = jax.jit(network_of(model).init)(jax.random.key(1), tables, z, jnp.float32(1), rho)
     params = jax.tree.map(lambda p: p + 0.1 * jnp.cos(jnp.arange(p.size).reshape(p.shape)), params)
     scaling = Scaling(np.arange(8).astype(np.complex64), np.full(8, 2 - 1j, np.complex64))
-    source = Source("files/ball.ply", None, asset.digest, {"files/ball.ply": colored_sphere()})
-    return learnt_generator(experiment, params, scaling, codec, Home(sphere, tables), source, 7)
+    files = {"files/ball.ply": colored_sphere()}
+    labels, place = None, None
+    if labelled:
+        kernel = params["params"]["embedding"]["RealDense_0"]["kernel"]
+        params["params"]["embedding"]["RealDense_0"]["kernel"] = kernel.at[-3:].multiply(30)
+        files[place := "labels/zones.ply"] = labelled_sphere()
+        (folder / "zones.ply").write_bytes(files[place])
+        found = read_labels(folder / "zones.ply", asset)
+        labels = Labels(found.palette, labels_on(found, sphere))
+    source = Source("files/ball.ply", None, asset.digest, files, place)
+    return learnt_generator(experiment, params, scaling, codec, Home(sphere, tables), source, 7, labels)

@@ -58,3 +58,38 @@ def test_any_stretch_of_a_training_draws_all_noise_levels(seed, first):
     deviates = (np.log((1 - alphas) / alphas) / 2 - 0.2) / 1.1
     assert kstest(deviates, "norm").statistic < 0.05
     np.testing.assert_array_equal(drawn[40:], draw_times(FLDM(draws="lognormal"), seed, first + 40, 60))
+
+
+class Told(Denoiser):
+    """Says what its condition is, everywhere."""
+
+    @nn.compact
+    def __call__(self, tables, z, t, rho=None):
+        assert rho is not None
+        return jnp.broadcast_to(rho.sum(0) / len(rho), (len(rho), 8)).astype(jnp.complex64)
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_a_draw_sees_its_labels_or_none_of_them(count):
+    """One label of eight: the answer is 1 in its channel, or 0 in all."""
+    tables = stack([mesh_tables(square_grid(8))] * count)
+    batch = MeshBatch(tables, jnp.stack([DATA] * count), draw_times(FLDM(), 0, 0, count))
+    found = {}
+    for dropout in (0.0, 0.5, 1.0):
+        model = FLDM(conditions=8, label_dropout=dropout)
+        loss = jax.jit(diffusion_loss(model, Told(model, (1, 1, 1))))
+        labelled = batch._replace(labels=np.full((count, 64), 3, np.int32))
+        values = {round(float(loss({}, labelled, jax.random.key(n))[0]), 4) for n in range(12)}
+        found[dropout] = values
+    told, bare = (np.array(sorted(found[dropout])) for dropout in (0.0, 1.0))
+    assert len(told) == len(bare) == 12
+    if count == 1:
+        assert found[0.5] <= found[0.0] | found[1.0] and found[0.5] & found[0.0] and found[0.5] & found[1.0]
+    else:
+        assert not found[0.5] <= found[0.0] | found[1.0]  # each copy draws for itself
+
+
+def test_a_dropout_out_of_range_is_refused():
+    for dropout in (-0.1, 1.5, float("nan")):
+        with pytest.raises(ValueError, match=r"model.label_dropout is"):
+            FLDM(label_dropout=dropout)

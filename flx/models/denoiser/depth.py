@@ -26,10 +26,11 @@ _RINGS = (2, 4, 2)  # fine rings a block of each part looks further: two convolu
 _LARGEST_REACH = 0.085  # share of the vertices; the paper's 28 rings are 0.081 of 30K
 
 
-def complete(model: FLDM, codec: FLVAE, vertices: int) -> FLDM:
+def complete(model: FLDM, codec: FLVAE, vertices: int, labels: int = 0) -> FLDM:
     """The model that is really trained: what the experiment leaves open (None) follows from codec and mesh.
 
-    Raises ValueError where the experiment asks for something that the codec's codes do not fit.
+    It has as many conditions as there are labels. Raises ValueError where the experiment asks for something
+    that the codec's codes or the labels do not fit.
     """
     for name in ("latents", "invariants"):
         wanted, actual = getattr(model, name), getattr(codec, name)
@@ -38,6 +39,11 @@ def complete(model: FLDM, codec: FLVAE, vertices: int) -> FLDM:
                 f"model.{name} is {wanted} but the FL-VAE has {actual}; leave it out, or name another FL-VAE "
                 "with --weights"
             )
+    if model.conditions not in (0, labels):
+        raise ValueError(
+            f"model.conditions is {model.conditions} but there are {labels} labels; leave it out, and name "
+            "the labels with --surface.labels"
+        )
     network = model.network or ("mixed" if codec.invariants else "vectors")
     if network == "vectors" and codec.invariants:
         raise ValueError(
@@ -47,6 +53,7 @@ def complete(model: FLDM, codec: FLVAE, vertices: int) -> FLDM:
     return replace(
         model,
         network=network,
+        conditions=labels,
         latents=codec.latents,
         invariants=codec.invariants,
         blocks=model.blocks or blocks_for(vertices),
