@@ -136,7 +136,7 @@ def _warnings(
         (median < LEAST_PIXELS, f"only {ring}: fewer vertices would give the same result"),
         (
             max(report.materials, report.parts) > 1,
-            f"{kinds} are learnt as one texture: they will mix; to keep them apart, name labels (--surface.labels)",
+            f"{kinds} are learnt as one texture and will mix; --surface.labels can keep them apart",
         ),
         (
             20 * components > vertices,

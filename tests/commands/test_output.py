@@ -99,6 +99,7 @@ def generator(tmp_path, monkeypatch) -> SimpleNamespace:
     made = SimpleNamespace(params={}, alphas=schedule, asset=asset, home=home, step=5, experiment=experiment)
     monkeypatch.setattr("flx.training.load.load_generator", lambda _: made)
     monkeypatch.setattr("flx.pipeline.variations.generate", lambda g, n, *_: iter([own_painting(asset)] * n))
+    monkeypatch.setattr("flx.pipeline.variations.check_labels", lambda *_: None)
     monkeypatch.setattr("flx.pipeline.transfer.vertex_count", lambda *_: 4)
     (tmp_path / "run").mkdir()
     return made

@@ -13,7 +13,7 @@ from flx.pipeline.codec import load_codec
 from flx.training.fldm import learn_fldm
 from flx.training.prior import encode_pieces, learn_prior, make_sheets, rescaled, scaled_pieces
 
-SHEETS = Sheets(vertices=120, meshes=2, pieces=4)
+SHEETS, SCALES = Sheets(vertices=120, meshes=2, pieces=4), Images(smallest=2.0, largest=4.0)
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def images():
 
 @pytest.fixture(scope="module")
 def pieces(images):
-    return encode_pieces(SHEETS, Images(smallest=2, largest=4), make_sheets(SHEETS, 64), images, load_codec())
+    return encode_pieces(SHEETS, SCALES, make_sheets(SHEETS, 64), images, load_codec())
 
 
 def test_places_in_the_plane_are_where_the_logs_say():
@@ -41,7 +41,7 @@ def test_places_in_the_plane_are_where_the_logs_say():
 def test_pieces_go_by_turns_on_the_meshes_and_repeat(images, pieces):
     assert pieces.latents.shape == (4, 120, 8) and list(pieces.sheet) == [0, 1, 0, 1]
     again = encode_pieces(
-        SHEETS, Images(smallest=2, largest=4), make_sheets(SHEETS, 64), images, load_codec()
+        SHEETS, Images(smallest=2.0, largest=4.0), make_sheets(SHEETS, 64), images, load_codec()
     )
     np.testing.assert_array_equal(again.latents, pieces.latents)
     assert np.abs(pieces.latents[0] - pieces.latents[2]).max() > 0.1

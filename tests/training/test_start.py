@@ -24,8 +24,10 @@ Z = tangent_noise(jax.random.key(0), (42, 4))
 
 
 def initial(model: FLDM, seed: int):
-    rho = jnp.zeros((42, model.conditions)) if model.conditions else None
-    return network_of(model).init(jax.random.key(seed), TABLES, Z, jnp.float32(1), rho)
+    """Random parameters; drawn here, because the network's own take seconds to compile."""
+    rho, rng = jnp.zeros((42, model.conditions)) if model.conditions else None, np.random.default_rng(seed)
+    shapes = jax.eval_shape(network_of(model).init, jax.random.key(0), TABLES, Z, jnp.float32(1), rho)
+    return jax.tree.map(lambda a: jnp.asarray(rng.normal(size=a.shape) / 4, jnp.float32), shapes)
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +56,7 @@ def test_blocks_of_another_number_begin_as_those_of_the_same_depth(known, blocks
     jax.tree.map(np.testing.assert_array_equal, started["after"], params["params"]["after"])
 
 
+@pytest.mark.slow
 def test_without_conditions_a_conditioned_network_begins_as_the_prior(known):
     path, params = known
     conditioned = replace(MODEL, conditions=3)
