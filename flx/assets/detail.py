@@ -1,7 +1,7 @@
 """How much of a texture a number of vertices keeps: an estimate, from means over blocks of its texels.
 
 A vertex of the released FL-VAE keeps about as much as nine blocks do. Against `flx reconstruct` at 2,500 to
-40,000 vertices: within 3 dB on two scans; a painted, smooth texture is kept 4 to 7 dB better than estimated.
+20,000 vertices: within 3 dB on two scans; a painted, smooth texture is kept 4 to 7 dB better than estimated.
 """
 
 from collections.abc import Sequence
