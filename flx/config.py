@@ -1,6 +1,6 @@
 """All settings: frozen dataclasses with the paper's values as defaults.
 
-An experiment file makes one of the three experiments (`Experiment`) and names it `config`; the launcher
+An experiment file makes one `FLVAEExperiment` or `FLDMExperiment` and names it `config`; the launcher
 overrides single fields from the command line. A number out of its range is refused when it is set.
 """
 
@@ -24,7 +24,7 @@ Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "fram
 
 
 # What records of earlier versions lack, and meant.
-ADDED = {"draws": "uniform", "emphasis": 0.0, "label_dropout": 0.1, "labels": None, "start": "random"}
+ADDED = {"draws": "uniform", "emphasis": 0.0, "label_dropout": 0.1, "labels": None}
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
 MOST_LAYERS, MOST_OTHER = 100, 1 << 20
@@ -196,19 +196,6 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Sheets:
-    """Planar meshes laid on images, for a diffusion model that learns what all textures have in common."""
-
-    vertices: int = 5000  # of each
-    meshes: int = 12  # triangulations
-    pieces: int = 1200  # parts of images
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        _check("sheets", self, vertices=16, meshes=1, pieces=1, seed=0)
-
-
-@dataclass(frozen=True)
 class FLVAEExperiment:
     """Train a field-latent VAE on a folder of images."""
 
@@ -227,26 +214,11 @@ class FLDMExperiment:
     name: str = "fldm"  # The run's folder is runs/NAME.
     surface: Surface = field(default_factory=Surface)  # first, as `--help` has it: what a beginner sets
     train: Train = field(default_factory=Train)
-    # Where to begin: random, released (what many images taught), or the prior.safetensors of a run.
-    start: str = "random"
     model: FLDM = field(default_factory=FLDM)
     weights: str | None = None  # An FL-VAE file to use instead of the released one.
 
 
-@dataclass(frozen=True)
-class PriorExperiment:
-    """Train a diffusion model on many images: a prior, where the training on a mesh can begin."""
-
-    name: str = "prior"
-    model: FLDM = field(default_factory=FLDM)
-    images: Images = field(default_factory=Images)
-    sheets: Sheets = field(default_factory=Sheets)
-    train: Train = field(default_factory=Train)
-    weights: str | None = None  # an FL-VAE file; None: the released one
-    start: str = "random"  # as of an FLDMExperiment: a prior may go on from another
-
-
-Experiment = FLVAEExperiment | FLDMExperiment | PriorExperiment
+Experiment = FLVAEExperiment | FLDMExperiment
 
 
 @dataclass(frozen=True)

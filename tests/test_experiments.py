@@ -9,7 +9,7 @@ import pytest
 from helpers.frames import field, tables_of
 from helpers.surfaces import icosphere
 
-from flx.config import FLDM, FLVAE, Experiment, FLVAEExperiment, PriorExperiment, read_config
+from flx.config import FLDM, FLVAE, Experiment, FLVAEExperiment, read_config
 from flx.models.denoiser.depth import complete
 from flx.pipeline.codec import initial_params, load_codec
 from flx.pipeline.generator import network_of
@@ -32,8 +32,7 @@ def parameters_of(experiment: Experiment) -> dict:
     if isinstance(experiment, FLVAEExperiment):
         return jax.eval_shape(lambda: initial_params(experiment.model, 0))
     codec, tables = codec_of(experiment.weights), tables_of(icosphere(1))
-    size = experiment.sheets if isinstance(experiment, PriorExperiment) else experiment.surface
-    network = network_of(complete(experiment.model, codec, size.vertices))
+    network = network_of(complete(experiment.model, codec, experiment.surface.vertices))
     z = field(42, codec.latents)
     return jax.eval_shape(network.init, jax.random.key(0), tables, z, jnp.float32(1))
 

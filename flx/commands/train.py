@@ -11,7 +11,7 @@ import tyro
 
 from flx.arguments import briefly, path_of, whole
 from flx.assets.formats.readers import READERS
-from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, PriorExperiment, quick, read_config
+from flx.config import Experiment, FLDMExperiment, FLVAEExperiment, quick, read_config
 from flx.geometry.copies import check_memory
 
 if TYPE_CHECKING:
@@ -22,8 +22,7 @@ def learn(experiment: Experiment, root: Path = Path("runs"), workers: int | None
     """Train what the experiment describes, resuming where it stopped; return its run.
 
     Args:
-        experiment: An `FLDMExperiment` (one mesh), or an `FLVAEExperiment` or a `PriorExperiment` (a folder
-            of images).
+        experiment: An `FLDMExperiment` (one mesh) or an `FLVAEExperiment` (a folder of images).
         root: The folder of runs; the run's own is named after the experiment.
         workers: Processes that prepare the copies of a mesh; as many as processors and memory allow, at most
             8, unless given.
@@ -44,10 +43,6 @@ def learn(experiment: Experiment, root: Path = Path("runs"), workers: int | None
         from flx.training.flvae import learn_flvae
 
         return learn_flvae(experiment, root)
-    if isinstance(experiment, PriorExperiment):
-        from flx.training.prior import learn_prior
-
-        return learn_prior(experiment, root)
     check_memory(experiment.surface.vertices, experiment.surface.copies)
     from flx.training.fldm import learn_fldm
 

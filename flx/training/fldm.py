@@ -38,7 +38,6 @@ from flx.training.log import say
 from flx.training.loop import LossFn, kept, restore, train
 from flx.training.run import Run, open_run
 from flx.training.run_asset import keep, labels_in, read_copy, read_source, source_of
-from flx.training.start import begun, check_start
 from flx.types import MeshTables
 
 
@@ -64,7 +63,6 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     count = len(labelled.palette) if labelled else 0
     experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices, count))
     network = network_of(experiment.model)
-    prior = check_start(experiment.start, experiment.model, codec)
     fingerprint = fingerprint_of(asset, codec, surface)
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
@@ -91,8 +89,6 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     tables, latents, numbers = jax.tree.map(lambda a: a[0], copies)
     rho = None if numbers is None else jax.nn.one_hot(numbers, count)
     params = jax.jit(network.init)(jax.random.key(config.seed), tables, latents, jnp.float32(1), rho)
-    if prior:
-        params = begun(prior, params)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
     if not run.generator.exists():  # an earlier version trained it
         save(int(state.step), state.ema)
