@@ -12,7 +12,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from flx.arguments import check_kind, number, whole
+from flx.arguments import check_kind, number, path_of, whole
 
 Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
@@ -38,10 +38,10 @@ def _check(part: str, values: object, **least: int | float) -> None:
         choices, value, place = get_args(kind), getattr(values, name), f"{part}.{name}"
         if get_origin(kind) is Literal and value not in choices:
             raise ValueError(f"{place} is {value!r}; choose {' or '.join(choices)}")
-        if kind is int:
-            whole(place, value, int(least.get(name, 0)))
+        if kind is int:  # as Python's own, which JSON can hold
+            object.__setattr__(values, name, whole(place, value, int(least.get(name, 0))))
         elif kind is float:
-            number(place, value, least.get(name, -math.inf))
+            object.__setattr__(values, name, number(place, value, least.get(name, -math.inf)))
         elif kind is str:
             check_kind(place, value, str, "text")
     for name in least:
@@ -234,11 +234,12 @@ class Controls:
     guidance: float = 1.0  # weight of the labels: 0 ignores them, 1 follows them, more exaggerates
 
     def __post_init__(self) -> None:
-        _check("controls", self)
+        _check("controls", self, guidance=0)
+        for name in ("keep", "fill", "mesh", "labels"):
+            if (path := getattr(self, name)) is not None:
+                object.__setattr__(self, name, path_of(name, path, "the name of a file"))
         if self.keep and self.fill:
             raise ValueError(f"keep is {self.keep} and fill {self.fill}; give one, each says what both would")
-        if not 0 <= self.guidance < float("inf"):
-            raise ValueError(f"guidance is {self.guidance}; give 0 or more, such as 2")
         if not 0 < self.scale < float("inf"):
             raise ValueError(f"scale is {self.scale}; give a number more than 0, such as 2")
         if self.mesh is not None and self.strength < 1:
@@ -316,7 +317,11 @@ def read_config(path: Path) -> Experiment:
 def with_added(kind: Any, value: dict[str, Any]) -> dict[str, Any]:
     """The record of an experiment of class `kind`, with the fields that earlier versions lack (`ADDED`)."""
     hints = get_type_hints(kind)
-    parts = {name: with_added(hints[name], v) for name, v in value.items() if is_dataclass(hints.get(name))}
+    parts = {
+        name: with_added(hints[name], v)
+        for name, v in value.items()
+        if is_dataclass(hints.get(name)) and isinstance(v, dict)
+    }
     return {f.name: ADDED[f.name] for f in fields(kind) if f.name in ADDED} | value | parts
 
 

@@ -59,8 +59,6 @@ def parse(words: Sequence[str]) -> Callable[[], None]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit status."""
-    if arguments is None:
-        use_large_pages()
     words = list(sys.argv[1:] if arguments is None else arguments)
     verbose = "--verbose" in words
     words = [word for word in words if word != "--verbose"]
@@ -86,6 +84,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def command() -> int:
+    """`main` as the process that a shell started."""
+    use_large_pages()
+    return main()
+
+
 def use_large_pages() -> None:
     """Start this process again with an allocator that keeps its memory, in large pages; only glibc has one.
 
@@ -93,7 +97,7 @@ def use_large_pages() -> None:
     clears them anew, which is a fifth of the step's time. GLIBC_TUNABLES is read only when a process starts.
     Where it is set already, it stays.
     """
-    if "GLIBC_TUNABLES" in os.environ or "CS_GNU_LIBC_VERSION" not in getattr(os, "confstr_names", {}):
+    if "GLIBC_TUNABLES" in os.environ or platform.libc_ver()[0] != "glibc":
         return
     os.environ["GLIBC_TUNABLES"] = ":".join(
         f"glibc.malloc.{name}={value}" for name, value in ALLOCATOR.items()
@@ -138,4 +142,4 @@ def _complain(message: str, status: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command())

@@ -333,7 +333,7 @@ print(len(kept) > 0, first, double())
 
 def test_the_launcher_starts_again_with_large_pages_unless_the_user_chose(monkeypatch):
     started = []
-    monkeypatch.setattr(os, "confstr_names", {"CS_GNU_LIBC_VERSION": 2}, raising=False)
+    monkeypatch.setattr("platform.libc_ver", lambda: ("glibc", "2.36"))
     monkeypatch.setattr(os, "execv", lambda path, words: started.append((path, words)))
     monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
     monkeypatch.setattr(sys, "orig_argv", ["python", "-m", "flx.launch", "train"])
@@ -342,6 +342,6 @@ def test_the_launcher_starts_again_with_large_pages_unless_the_user_chose(monkey
     assert "glibc.malloc.hugetlb=1" in os.environ["GLIBC_TUNABLES"]
     use_large_pages()  # the process that was started
     monkeypatch.delenv("GLIBC_TUNABLES")
-    monkeypatch.setattr(os, "confstr_names", {})  # another C library
+    monkeypatch.setattr("platform.libc_ver", lambda: ("", ""))  # another C library
     use_large_pages()
     assert len(started) == 1

@@ -128,7 +128,6 @@ def _warnings(
     flat, components = report.flat_uv_faces, report.components
     median = pixels[1] if pixels else LEAST_PIXELS
     ring = f"{median:,.0f} texture pixels in a one-ring"
-    kinds = f"{report.materials:,} materials" if report.materials > 1 else f"{report.parts:,} parts"
     found = (
         (overlapping > 0.01, f"{overlapping:.1%} of texels show more than once: those places share a colour"),
         (flat > 0, f"{flat:,} faces have no area on the texture: they show as a streak"),
@@ -136,7 +135,8 @@ def _warnings(
         (median < LEAST_PIXELS, f"only {ring}: fewer vertices would give the same result"),
         (
             max(report.materials, report.parts) > 1,
-            f"{kinds} are learnt as one texture and will mix; --surface.labels can keep them apart",
+            f"{_kinds(report)} are learnt as one texture and will mix; labels can keep them apart "
+            "(--surface.labels): a PLY, or an image where their UVs do not overlap",
         ),
         (
             20 * components > vertices,
@@ -150,6 +150,10 @@ def _enough(lost: Detail) -> int:
     """With how many vertices the texture is kept at `FINE` dB, to two digits."""
     wanted = float(np.clip(vertices_for(lost, FINE), 100, 1e6))
     return int(round(wanted, 1 - int(np.log10(wanted))))
+
+
+def _kinds(report: Report) -> str:
+    return f"{report.materials:,} materials" if report.materials > 1 else f"{report.parts:,} parts"
 
 
 def _losses(lost: Detail, vertices: int) -> list[str]:

@@ -48,8 +48,12 @@ def propose(options: ProposeLabels) -> Path:
     if options.out.exists():
         raise ValueError(f"{options.out} is there already; name another file with --out")
     asset = read_asset(options.mesh, options.texture)
-    if len(asset.textures) != 1 or asset.textures[0].flat:
-        raise ValueError(f"{asset.path} has {len(asset.textures)} textures; flx labels needs exactly one")
+    flat = sum(texture.flat for texture in asset.textures)
+    if (len(asset.textures), flat) != (1, 0):
+        raise ValueError(
+            f"{asset.path} has {len(asset.textures) - flat} textures and {flat} materials of one colour; flx "
+            "labels needs one texture and nothing else"
+        )
     copy = triangulate(asset, options.vertices, options.seed)
     rng = np.random.default_rng(options.seed)
     try:

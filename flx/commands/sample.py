@@ -1,5 +1,6 @@
 """`flx sample`: new textures from a trained generator."""
 
+import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -78,6 +79,11 @@ def sample(options: Sample) -> Path:
         "steps": len(chosen.table["t"]),
         "step": generator.step,
         "generator": digest_of(generator.params)[:12],
+        **{
+            f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+            for name in ("keep", "fill", "labels")
+            if (path := getattr(options.controls, name))
+        },
     }
     home = options.run if options.run.is_dir() else options.run.parent
     titles = [f"variation {n:02d}" for n in range(options.count)]

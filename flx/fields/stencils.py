@@ -38,8 +38,9 @@ def of_rings(rings: OneRings) -> Stencils:
     carried = (rings.transports, direction * jnp.conj(back), direction, jnp.ones_like(direction), back)
     sent = rings.weights * jnp.stack(carried)
     returned = jax.vmap(gather_reverse, (None, 0))(rings, sent)
-    # Else XLA would compute them again in every layer.
-    return Stencils(rings.masses, rings.neighbors, *jax.lax.optimization_barrier((sent, returned)))
+    # Else XLA would compute them again in every layer. Apart: without gradients, nobody asks for `returned`.
+    sent, returned = (jax.lax.optimization_barrier(a) for a in (sent, returned))
+    return Stencils(rings.masses, rings.neighbors, sent, returned)
 
 
 def stencils(
@@ -68,8 +69,8 @@ def ring_sums(rings: Stencils, fields: tuple[Float[Array, "V C2"], ...]) -> tupl
     Each sum is fused into one pass over the slots. The barriers keep it apart from the operations around it:
     fused with a matrix product, XLA:CPU would write every gather to memory.
     """
-    rings, fields = jax.lax.optimization_barrier((rings, fields))
-    sums = tuple(_ring_sum(rings.neighbors, c, x) for c, x in zip(rings.sent, fields, strict=True))
+    sent, fields = jax.lax.optimization_barrier((rings.sent, fields))
+    sums = tuple(_ring_sum(rings.neighbors, c, x) for c, x in zip(sent, fields, strict=True))
     return jax.lax.optimization_barrier(sums)
 
 

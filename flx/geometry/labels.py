@@ -61,7 +61,7 @@ def image_labels(mesh: TexturedMesh, image: UInt8[Any, "H W 3"], palette: Palett
     covered, codes = atlas_texels(mesh, 0, *image.shape[:2]).covered, _codes(image)
     flat = covered & (minimum_filter(codes, 3) == maximum_filter(codes, 3))
     found, counts = np.unique(codes[flat], return_counts=True)
-    found = found[counts >= SMALLEST * covered.sum()]
+    found = found[counts >= max(SMALLEST * covered.sum(), 2)]  # faces without UVs show one texel
     # All neighbours of a flat texel have its colour. Elsewhere, a mixture may be like a third label.
     known = covered & maximum_filter(flat & np.isin(codes, found), 3)
     if known.sum() < FLAT * covered.sum():

@@ -202,12 +202,10 @@ def side_by_side(
     `own` is the input, if the asset is another mesh.
     """
     meshes, own = [tinted(asset, shown(asset, painting)) for painting in paintings], own or asset
-    rows = []
+    before, rows = tinted(own, own.mesh), []
     for view in VIEWS:
         first, others = (render.look(one.mesh, *view, size, up) for one in (own, asset))  # pyright: ignore
-        rows.append(
-            [render.show(first, tinted(own, own.mesh)), *(render.show(others, mesh) for mesh in meshes)]
-        )
+        rows.append([render.show(first, before), *(render.show(others, mesh) for mesh in meshes)])
     return render.contact_sheet(rows, ["input", *captions])
 
 

@@ -38,8 +38,9 @@ class Codec(NamedTuple):
     def encode(self, rings: RingSamples) -> Complex64[np.ndarray, "V D"]:
         """The mean code of each one-ring, in the frame of its vertex."""
         check_kind("rings", rings, RingSamples, "the rings of a copy, such as flx.triangulate(asset).rings")
-        if (shape := np.shape(rings.logs))[1:] != (wanted := (self.config.samples,)):
-            raise ValueError(f"rings have {shape[1:]} samples; give {wanted[0]}, as flx.triangulate does")
+        shape, wanted = list(np.shape(rings.logs)), self.config.samples
+        if shape[1:] != [wanted]:
+            raise ValueError(f"rings have shape {shape}; give {wanted} samples each, as flx.triangulate does")
         return _in_chunks(partial(_mean_code, self.config), self.params, rings, RINGS)
 
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:

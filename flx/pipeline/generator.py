@@ -21,6 +21,7 @@ from jax.tree_util import Partial
 from jaxtyping import Complex64, Float64, Int32
 
 from flx import __version__
+from flx.arguments import number
 from flx.assets.asset import Asset
 from flx.assets.formats.files import inside
 from flx.assets.read import read_asset
@@ -136,7 +137,9 @@ class Generator:
                 return None
             what = "labels are given" if labels is not None else f"guidance is {guidance:g}"
             raise ValueError(f"{what}, but none were learnt; train with --surface.labels IMAGE")
-        count = len(self.labels.palette)
+        count, guidance = len(self.labels.palette), number("guidance", guidance, 0)
+        if labels is not None and not _are_numbers(labels, vertices, count):
+            raise ValueError(f"labels do not fit; give {vertices} whole numbers from 0 to {count - 1}")
         if labels is None or guidance == 0:
             return Condition(jnp.zeros((vertices, count)))
         rho = jnp.asarray(one_hot(labels, count))
@@ -194,6 +197,13 @@ def _draw(denoise, step, memory, hook, params, tables, table, near, signal, key,
     start = diffuse(near, tangent_noise(of_start, near.shape), signal)
     sampler, seen = samplers.Sampler(table, step, memory), () if condition is None else (condition,)
     return samplers.reverse(lambda z, t: denoise(params, tables, z, t, *seen), sampler, start, of_steps, hook)
+
+
+def _are_numbers(labels: Any, vertices: int, count: int) -> bool:
+    """Whether labels are one number for each vertex, from 0 to `count` − 1."""
+    labels = np.asarray(labels)
+    right = labels.shape == (vertices,) and labels.dtype.kind in "iu"
+    return right and bool(((labels >= 0) & (labels < count)).all())
 
 
 # --- a learnt one

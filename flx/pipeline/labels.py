@@ -38,6 +38,8 @@ def read_labels(path: Path, asset: Asset, palette: Palette | None = None) -> Lab
     if not path.exists():
         raise ValueError(f"labels {path} do not exist; paint flat colours on a copy of the texture")
     try:
+        if path.suffix.lower() in (".gltf", ".obj"):
+            raise ValueError("its colours may lie in other files; give a PLY with flat vertex colours")
         if path.suffix.lower() in READERS:
             return corner_labels(_same_surface(path, asset.mesh), palette)
         if not asset.textures or asset.textures[0].made_from == NEW_CHARTS:

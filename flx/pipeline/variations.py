@@ -16,7 +16,7 @@ from flx.config import STEPS, Controls, Sampler
 from flx.fields.samplers import Hook
 from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.copies import sample_rings
-from flx.geometry.labels import labels_on
+from flx.geometry.labels import LabelMap, labels_on
 from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, check_size, open_canvas
 from flx.pipeline.generator import Generator, Home
@@ -51,18 +51,19 @@ def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
     return Guided(home, held and held.hook, near, held, labels)
 
 
-def check_labels(generator: Generator, controls: Controls, asset: Asset) -> None:
-    """Raises ValueError for labels, or a weight of them, that a generator cannot follow on an asset."""
+def check_labels(generator: Generator, controls: Controls, asset: Asset) -> LabelMap | None:
+    """The labels of the controls. Raises ValueError for such, or a weight, that a generator cannot follow."""
     said = f"labels {controls.labels}" if controls.labels else f"guidance {controls.guidance:g}"
     if generator.labels is None and (controls.labels or controls.guidance != 1):
         raise ValueError(f"{said}: this run learnt no labels; train one with --surface.labels IMAGE")
     if controls.labels:
         assert generator.labels
-        read_labels(controls.labels, asset, generator.labels.palette)
-    elif asset.digest != generator.asset.digest and controls.guidance not in (0, 1):
+        return read_labels(controls.labels, asset, generator.labels.palette)
+    if asset.digest != generator.asset.digest and controls.guidance not in (0, 1):
         raise ValueError(
             f"{said}: {asset.path} has no labels to follow; give an image on its UVs with --labels"
         )
+    return None
 
 
 def labels_for(
@@ -72,11 +73,11 @@ def labels_for(
 
     None where there are none, as on another mesh, which stderr then says. Raises as `check_labels` does.
     """
-    check_labels(generator, controls, asset)
+    given = check_labels(generator, controls, asset)
     if generator.labels is None or controls.guidance == 0:
         return None
-    if controls.labels:
-        return labels_on(read_labels(controls.labels, asset, generator.labels.palette), triangulation)
+    if given:
+        return labels_on(given, triangulation)
     if asset.digest != generator.asset.digest:
         note = "no labels are given for it, so details go anywhere; --labels IMAGE on its UVs says where"
         tqdm.write(f"{asset.path.name}: {note}", file=sys.stderr)

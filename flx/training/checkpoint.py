@@ -102,8 +102,8 @@ def _shaped(tensors: Tensors, template: Any, path: Path) -> Any:
         )
     if fault:
         raise ValueError(
-            f"{path} does not fit this network ({fault}); use the version of flx that made it, or train "
-            "under another --name"
+            f"{path} does not fit this network or its optimiser ({fault}); use the version of flx that made "
+            "it, or train under another --name"
         )
     return jax.tree.unflatten(jax.tree.structure(template), [tensors[name] for name in wanted])
 

@@ -98,7 +98,6 @@ class Log:
     def _show(self, loss: float) -> None:
         now = time.monotonic()
         self._recent.append((now, loss))
-        self._unsaid.append(loss)
         while len(self._recent) > 2 and self._recent[1][0] <= now - _MINUTE:
             self._recent.popleft()
         pace = (now - self._recent[0][0]) / (len(self._recent) - 1)
@@ -107,7 +106,9 @@ class Log:
             mean = _mean([loss for _, loss in self._recent if not math.isnan(loss)])
             self._bar.set_postfix_str(f"loss {mean:.4g}", refresh=False)
             self._bar.update()
-        elif now - self._spoke >= _SILENCE:
+            return
+        self._unsaid.append(loss)
+        if now - self._spoke >= _SILENCE:
             mean, self._unsaid, self._spoke = _mean(self._unsaid), [], now
             say(f"step {self._step}/{self._config.steps}, loss {mean:.4g}, {pace:.3g} s a step, {left} left")
 

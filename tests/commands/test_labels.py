@@ -58,7 +58,7 @@ def test_what_is_proposed_is_read_back(ball, tmp_path, capsys):
     [
         (["ball.glb", "--colors", "1"], "--colors is 1; give 2 to 8"),
         (["ball.glb", "--out", "labels.jpg"], "labels.jpg; name a .png"),
-        (["bare.ply"], "bare.ply has 0 textures; flx labels needs exactly one"),
+        (["bare.ply"], "bare.ply has 0 textures and 0 materials of one colour"),
         (["none.glb"], "none.glb does not exist"),
     ],
 )

@@ -118,6 +118,16 @@ def test_samples_of_another_seed_or_step_or_network_go_elsewhere(generator, tmp_
     assert len(list((tmp_path / "run").glob("*/variation_00.glb"))) == 6
 
 
+def test_samples_by_labels_that_were_painted_over_go_elsewhere(generator, tmp_path):
+    labels = tmp_path / "map.png"
+    labels.write_bytes(b"first")
+    guided = Sample(tmp_path / "run", count=1, controls=Controls(labels=labels))
+    first = sample(guided)
+    assert sample(guided) == first
+    labels.write_bytes(b"painted over")
+    assert sample(guided) != first
+
+
 def test_the_record_of_samples_grows_as_files_appear_and_loses_none(generator, tmp_path, monkeypatch):
     made, asset, out = [], generator.asset, tmp_path / "run" / "samples"
 

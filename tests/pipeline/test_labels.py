@@ -202,7 +202,7 @@ def test_what_was_not_learnt_is_refused(generator, labelled, tmp_path):
     with pytest.raises(ValueError, match=r"guidance 2: .*other.ply has no labels to follow; give an image"):
         next(generate(labelled, 1, controls=Controls(guidance=2.0, mesh=tmp_path / "other.ply")))
     for weight in (-1.0, float("nan"), float("inf")):
-        with pytest.raises(ValueError, match=r"guidance is .*give 0 or more"):
+        with pytest.raises(ValueError, match=r"guidance is .*give .*at least 0"):
             Controls(guidance=weight)
 
 
@@ -212,3 +212,11 @@ def test_a_copy_of_its_own_has_no_labels_unless_they_are_given(labelled):
     numbers = np.arange(42, dtype=np.int32) % 3
     bare = labelled.sample(KEY, home, steps=4)
     assert np.abs(bare - labelled.sample(KEY, home, steps=4, labels=numbers)).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    "numbers", [np.zeros(9, np.int32), np.full(162, 3, np.int32), np.full(162, -1, np.int32)]
+)
+def test_labels_that_are_no_numbers_of_them_are_refused(labelled, numbers):
+    with pytest.raises(ValueError, match="labels do not fit; give 162 whole numbers from 0 to 2"):
+        labelled.sample(jax.random.key(0), labels=numbers, steps=2)

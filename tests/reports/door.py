@@ -233,8 +233,8 @@ CALLS = [
     painted("99 codes", r"latents have shape \[99, 8\]", latents=np.zeros((99, 8))),
     *(painted(f"{n!r} pixels", "texture_size is .*; give", texture_size=n) for n in (0, 4, 10**6, 100.5, "big")),
     *(Call(f"encode: {what}", lambda t, value=value: t.codec.encode(value), "rings is .*; give the rings") for what, value in ODD),
-    Call("encode: 10 samples", lambda t: t.codec.encode(flx.triangulate(A, 100, samples=10).rings), "10.* samples; give 64"),
-    Call("encode: no samples", lambda t: t.codec.encode(RingSamples(np.zeros((5, 0)), np.zeros((5, 0, 3)))), "samples; give 64"),
+    Call("encode: 10 samples", lambda t: t.codec.encode(flx.triangulate(A, 100, samples=10).rings), "10.*; give 64 samples"),
+    Call("encode: no samples", lambda t: t.codec.encode(RingSamples(np.zeros((5, 0)), np.zeros((5, 0, 3)))), "give 64 samples"),
     *(Call(f"generate: {what}", lambda _, value=value: next(flx.generate(value)), "generator is .*; give what flx.load_generator") for what, value in (*ODD, ("a run's name", "runs/bowl"))),
     # train
     *(Call(f"train: {what}", lambda t, value=value: flx.train(value, t.folder), "experiment is .*; give an FLDMExperiment") for what, value in (*ODD, ("a path", "bowl.glb"), ("a Surface", flx.Surface()))),
@@ -252,6 +252,7 @@ CALLS = [
     *(setting(f"embedding={v!r}", "model.embedding is", lambda v=v: flx.FLDM(embedding=v)) for v in (2, 5, None)),
     *(setting(f"network={v!r}", "model.network is|model.predicts", lambda v=v: flx.FLDM(predicts=v)) for v in ("noises", None, 3)),
     *(setting(f"strength={v!r}", "strength is .*; give", lambda v=v: flx.Controls(strength=v)) for v in (0, 2, -1, float("nan"), "much", None)),
+    *(setting(f"labels={v!r}", "labels is .*; give the name of a file", lambda v=v: flx.Controls(labels=v)) for v in (3, "")),
     *(setting(f"scale={v!r}", "scale is .*; give", lambda v=v: flx.Controls(scale=v)) for v in (0, -1, float("inf"), "big", None)),
     setting("heads that do not divide", "model.heads is 7", lambda: flx.FLVAE(heads=7)),
     setting("invariants of the transformer", "model.invariants is 2", lambda: flx.FLVAE(invariants=2)),

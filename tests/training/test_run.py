@@ -164,6 +164,8 @@ def test_torn_temporary_files_are_ignored(tmp_path):
         (("config", "speed"), 3, "config has an unknown field 'speed'"),
         (("kind",), "subprocess.Popen", "does not record a run"),
         (("config",), None, "does not record a run"),
+        (("config", "model"), None, "config.model is None"),
+        (("config", "surface"), 5, "config.surface is 5"),
     ],
 )
 def test_a_wrong_config_file_is_refused_by_place(tmp_path, place, value, told):
