@@ -1,6 +1,7 @@
 """Shared fixtures. Every annotated shape is checked while the tests run (see pyproject)."""
 
 import os
+import signal
 from pathlib import Path
 
 from hypothesis import HealthCheck, settings
@@ -14,3 +15,8 @@ settings.register_profile(
     "flx", deadline=None, derandomize=True, max_examples=20, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("flx")
+
+# Under nohup, or in the background of a script, signals are ignored, also by commands that tests start.
+for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _handler)
