@@ -26,7 +26,7 @@ from flx.pipeline.transfer import home_on
 from flx.types import Triangulation
 
 
-class Guided(NamedTuple):
+class Controlled(NamedTuple):
     """Controls, as sampling follows them on one triangulation."""
 
     home: Home  # what codes are made on
@@ -36,7 +36,7 @@ class Guided(NamedTuple):
     labels: Int32[np.ndarray, "V"] | None  # what goes where
 
 
-def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
+def controlled(generator: Generator, controls: Controls, asset: Asset) -> Controlled:
     """What a generator needs to follow some controls on its own asset or on another.
 
     Raises ValueError for controls that it cannot follow.
@@ -48,7 +48,7 @@ def guided(generator: Generator, controls: Controls, asset: Asset) -> Guided:
     kept = kept_texels(generator.asset, controls)
     held = kept and inpainting(generator, kept, home.triangulation)
     labels = labels_for(generator, controls, asset, home.triangulation)
-    return Guided(home, held and held.hook, near, held, labels)
+    return Controlled(home, held and held.hook, near, held, labels)
 
 
 def check_labels(generator: Generator, controls: Controls, asset: Asset) -> LabelMap | None:
@@ -123,7 +123,7 @@ def generate(
     controls = controls or Controls()
     if asset is None:
         asset = read_shape(controls.mesh) if controls.mesh else generator.asset
-    home, hook, near, held, labels = guided(generator, controls, asset)
+    home, hook, near, held, labels = controlled(generator, controls, asset)
     if held:
         texture_size = texture_size or max(held.kept.texels.shape)
     canvas = open_canvas(asset, home.triangulation, texture_size)

@@ -57,7 +57,7 @@ def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
     """Create the folder `root/<experiment.name>`, or reopen it for the same experiment and asset.
 
     Raises ValueError if the name is not a folder name, if the folder belongs to another experiment or asset,
-    and if there is a link in it.
+    if there is a link in it, and while somebody trains there.
     """
     name = experiment.name
     if Path(name).name != name or name in ("", ".."):
@@ -72,7 +72,8 @@ def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
         raise ValueError(
             f"{run.folder} has no config.json but holds {strangers[0]}; give the run another name with --name"
         )
-    write_atomically(run.config, (json.dumps(record, indent=2) + "\n").encode())
+    with only_trainer(run):
+        write_atomically(run.config, (json.dumps(record, indent=2) + "\n").encode())
     return run
 
 

@@ -208,6 +208,10 @@ def test_a_second_trainer_is_refused_and_a_killed_one_is_not_in_the_way(tmp_path
         assert other.stdout is not None and other.stdout.readline() == "held\n"
         with pytest.raises(ValueError, match=rf"trained by process {other.pid};.*--name"), only_trainer(run):
             pass
+        before, longer = run.config.read_bytes(), dataclasses.replace(demo.train, steps=demo.train.steps + 1)
+        with pytest.raises(ValueError, match="is being trained"):
+            open_run(tmp_path, dataclasses.replace(demo, train=longer), "ab12")
+        assert run.config.read_bytes() == before
         other.kill()
     with only_trainer(run), pytest.raises(ValueError, match="is being trained"), only_trainer(run):
         pass
@@ -222,6 +226,7 @@ def test_a_link_in_a_run_is_refused_before_it_is_followed(tmp_path, place):
     link = run.folder / place
     link.parent.mkdir(parents=True, exist_ok=True)
     target = {".lock": victim / "1.safetensors", "loop": run.folder}.get(place, victim)
+    link.unlink(missing_ok=True)
     link.symlink_to(target)
     for reopens in (lambda: open_run(tmp_path, demo, "ab12"), lambda: load_config(run.folder)):
         with pytest.raises(ValueError, match=f"{place} is a link; put") as refusal:
