@@ -367,7 +367,7 @@ def run(build: Build) -> Outcome:
                 print(f"{type(uncaught).__name__}: {uncaught}", file=sys.stderr)
             signal.alarm(0)
         seconds = time.process_time() - start
-        strangers = [w for w in _watched if not w.startswith(str(folder)) and not _is_python(w)]
+        strangers = [w for w in _watched if not w.startswith(str(folder)) and not _is_ours(w)]
         after = sorted(os.listdir(folder)), sorted(os.listdir(folder.parent))
         status_file = Path("/proc/self/status")
         memory = status_file.read_text().splitlines() if status_file.exists() else ["VmHWM: 0 kB"]
@@ -387,11 +387,11 @@ def _watch(event: str, arguments: tuple) -> None:
         _watched.append(str(arguments[0]))
 
 
-def _is_python(path: str) -> bool:
-    """Modules that are imported on the way, and the runner's own files."""
-    return path.startswith(("/proc/self/", sys.prefix, sys.base_prefix)) or path.endswith(
-        (".py", ".pyc", ".so")
-    )
+def _is_ours(path: str) -> bool:
+    """Modules that are imported on the way, the runner's own files, and what says how much memory there is."""
+    memory = path == "/proc/meminfo" or path.startswith("/sys/fs/cgroup/memory.")
+    ours = path.startswith(("/proc/self/", sys.prefix, sys.base_prefix)) or memory
+    return ours or path.endswith((".py", ".pyc", ".so"))
 
 
 def _too_long(*_: object) -> None:
