@@ -9,8 +9,7 @@ from helpers.surfaces import square_grid, torus
 
 from flx.fields import stencils as pairwise
 from flx.fields.algebra import real_pairs
-from flx.fields.convolution import gather_reverse
-from flx.fields.stencils import Stencils, of_rings, ring_sums
+from flx.fields.stencils import of_rings, ring_sums
 
 VECTORS, INVARIANTS = [0, 1, 2], [3, 4]  # of the stencils' outputs
 
@@ -62,16 +61,13 @@ def test_stencils_of_linear_and_parallel_fields_on_a_flat_sheet():
 @pytest.mark.slow
 def test_scatter_free_gradients_are_those_of_autodiff():
     rings = tables_of(torus()).fine
-    coefficients = jnp.stack([rings.weights * rings.transports, rings.weights * rings.logs])
-    returned = jnp.stack([gather_reverse(rings, c) for c in coefficients])
-    level = Stencils(rings.masses, rings.neighbors, coefficients, returned)
-    x = tuple(real_pairs(f) for f in fields(rings.neighbors.shape[0]))
+    level = of_rings(rings)
+    vectors, invariants = (real_pairs(f) for f in fields(rings.neighbors.shape[0]))
+    x = (vectors, vectors, invariants, invariants, vectors)
 
     def plain(x: tuple) -> list:
         gathered = [as_complex(f)[rings.neighbors] for f in x]
-        return [
-            real_pairs(jnp.einsum("vk,vkc->vc", c, f)) for c, f in zip(coefficients, gathered, strict=True)
-        ]
+        return [real_pairs(jnp.einsum("vk,vkc->vc", c, f)) for c, f in zip(level.sent, gathered, strict=True)]
 
     def energy(function):
         return lambda x: sum(jnp.sum((y - 0.3) ** 2) for y in function(x))

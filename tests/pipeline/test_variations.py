@@ -30,6 +30,8 @@ def test_little_strength_stays_near_the_input(generator):
 
 
 def test_a_strength_out_of_range_is_refused():
-    for strength in (0.0, 1.2, float("nan")):
-        with pytest.raises(ValueError, match=r"strength is .*give (more than 0 and at most 1|a number)"):
+    for strength in (0.0, 1.2):
+        with pytest.raises(ValueError, match=r"strength is .*more than 0 and at most 1"):
             Controls(strength=strength)
+    with pytest.raises(ValueError, match=r"controls\.strength is nan; give a number"):
+        Controls(strength=float("nan"))
