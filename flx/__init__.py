@@ -8,6 +8,9 @@
     back = flx.paint(asset, copy, codec, codec.encode(copy.rings))
     flx.save(asset, back, "back.glb")
 
+    for n, painting in enumerate(flx.patchworks(flx.patch_generator(asset), count=4)):
+        flx.save(asset, painting, f"instant_{n}.glb")
+
     flx.train(flx.quick("bowl.glb", name="bowl"))
     generator = flx.load_generator("runs/bowl")
     for n, painting in enumerate(flx.generate(generator, count=4)):
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
         FLDMExperiment,
         FLVAEExperiment,
         Images,
+        Patches,
         Surface,
         Train,
         quick,
@@ -44,6 +48,7 @@ if TYPE_CHECKING:
     from flx.pipeline.canvas import paint, show
     from flx.pipeline.codec import load_codec
     from flx.pipeline.copies import triangulate
+    from flx.pipeline.instant import patch_generator, patchworks
     from flx.pipeline.variations import generate
     from flx.training.load import load_generator
 
@@ -64,8 +69,20 @@ _HOME = {
     "train": "commands.train:learn",
     "load_generator": "training.load",
     "generate": "pipeline.variations",
+    "patch_generator": "pipeline.instant",
+    "patchworks": "pipeline.instant",
     **dict.fromkeys(
-        ("Controls", "FLDM", "FLVAE", "FLDMExperiment", "FLVAEExperiment", "Images", "Surface", "Train"),
+        (
+            "Controls",
+            "FLDM",
+            "FLVAE",
+            "FLDMExperiment",
+            "FLVAEExperiment",
+            "Images",
+            "Patches",
+            "Surface",
+            "Train",
+        ),
         "config",
     ),
 }

@@ -251,6 +251,20 @@ class Controls:
 
 
 @dataclass(frozen=True)
+class Patches:
+    """How textures are made of pieces of the input, without training."""
+
+    vertices: int = 5000  # points of the surface where pieces may begin and end
+    coherence: float = 1.0  # size of the pieces: 0 chooses at each point alone, more makes them larger
+    guide: float = 1.0  # how much rims come from rims and hollows from hollows; 0 does not care
+
+    def __post_init__(self) -> None:
+        whole("vertices", self.vertices, 100)
+        for name in ("coherence", "guide"):
+            number(name, getattr(self, name), 0)
+
+
+@dataclass(frozen=True)
 class Comparison:
     """What `flx evaluate --reconstruction` measures."""
 

@@ -1,12 +1,14 @@
 """Reads a textured mesh file into an `Asset`, or raises an error of one line that names the fault."""
 
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from flx.arguments import check_word, path_of
 from flx.assets.assemble import assemble, faults_of
-from flx.assets.asset import Asset
+from flx.assets.asset import Asset, Format
 from flx.assets.formats.files import BadFile
+from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.readers import READERS, Contents, Reader
 from flx.types import SLOTS, Slot
 
@@ -46,6 +48,26 @@ def read_asset(
     contents = read_contents(path)
     with faults_of(path):
         return assemble(path, contents, texture, slots)
+
+
+def read_with_maps(path: Path, format: Format) -> Asset:
+    """`read_asset` with all maps of its materials that can be written to a file of this format.
+
+    Maps that cannot be read are left out; stderr says which.
+    """
+    asset = read_asset(path)
+    if format != "glb" or not isinstance(asset.container, Gltf):
+        return asset
+    others: list[Slot] = [s for s in SLOTS if s != "base_color" and asset.map_names.get(s)]
+    readable: list[Slot] = []
+    for slot in others:
+        try:
+            asset = read_asset(path, slots=[*readable, slot])
+        except (OSError, ValueError) as fault:
+            print(f"{fault}; its {slot} map stays as it is", file=sys.stderr)
+        else:
+            readable.append(slot)
+    return asset
 
 
 def read_contents(path: Path, readers: Mapping[str, Reader] = READERS) -> Contents:

@@ -2,17 +2,18 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from tqdm import tqdm
 from tyro.conf import OmitArgPrefixes, Positional
 
-from flx.assets.asset import Format, Painting
+from flx.assets.asset import Asset, Format, Painting
 from flx.commands.output import own_folder, settings
-from flx.config import STEPS, Controls, Sampler
+from flx.commands.stages import Stages
+from flx.config import STEPS, Controls, Patches, Sampler
 from flx.files import write_atomically
 
 
@@ -21,9 +22,12 @@ class Sample:
     """Make new textures: variation_00.glb and more, their atlases, a contact sheet and samples.json.
 
     Example: flx sample runs/demo --count 4
+             flx sample bowl.glb --instant      without training, from pieces of its own texture
     """
 
-    run: Positional[Path]  # a run folder of `flx train`, or a generator.safetensors
+    # a run folder of `flx train`, or a generator.safetensors; with --instant, also a mesh file
+    run: Positional[Path]
+    instant: bool = False  # pieces of the input's own texture: no training, all maps of the material
     count: int = 4  # number of variations
     seed: int = 0  # variation n depends on the seed and n alone
     # folder to write to; else RUN/samples, with the options in its name that are not the usual ones
@@ -36,34 +40,125 @@ class Sample:
     sampler: Sampler = "dpm"  # "dpm" is of second order, "ddim" of first; "ancestral" is DDPM
     up: Literal["y", "z"] | None = None  # the axis that points up in the contact sheet; as in the run
     controls: OmitArgPrefixes[Controls] = field(default_factory=Controls)
+    patches: OmitArgPrefixes[Patches] = field(default_factory=Patches)
 
     def __call__(self) -> None:
         print(sample(self))
 
 
+class Plan(NamedTuple):
+    """What variations are made of, and where they go."""
+
+    own: Asset  # whose texture is varied
+    asset: Asset  # what is painted
+    file: Asset  # the same as it was read, before it got an atlas of its own
+    up: Literal["y", "z"]
+    kept: Any  # `flx.pipeline.inpainting.Kept` or None
+    usual: Path  # the folder, if no other options are given
+    also: str  # what tells it from another call's
+    made_by: dict[str, Any]  # what the files depend on, beside the options
+    vertices: int
+    paint: Callable[[], Iterator[tuple[Painting, dict[str, Any]]]]  # each with what the record says of it
+
+
 def sample(options: Sample) -> Path:
     """Write the variations, each file whole or not at all; return their folder.
 
-    Raises ValueError where there is no trained FLDM, or the output cannot be written.
+    Raises ValueError where there is nothing to make them of, or the output cannot be written.
     """
     from flx.assets.preflight import check_output
-    from flx.assets.shape import read_shape
-    from flx.assets.unwrap import prepared_for
     from flx.assets.variants import check_variants, write_variants
     from flx.assets.write import write, write_atlases, write_png
     from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
+    from flx.stopping import keeping
+
+    check_size(options.texture_size)
+    if options.count < 1 or options.steps < 1:
+        raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
+    plan = instant_plan(options) if options.instant else learnt_plan(options)
+    own, asset, kept = plan.own, plan.asset, plan.kept
+    if options.variants:
+        check_variants(asset, options.format)
+    made_by = {
+        **settings(options),
+        **plan.made_by,
+        **{
+            f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+            for name in ("keep", "fill", "labels")
+            if (path := getattr(options.controls, name))
+        },
+    }
+    titles = [f"variation {n:02d}" for n in range(options.count)]
+    stems = ["variants"] if options.variants else [title.replace(" ", "_") for title in titles]
+    names = [f"{stem}.{options.format}" for stem in stems]
+    sheet = "contact_sheet.png"
+    out, before = own_folder(options, plan.usual, plan.also, "samples.json", made_by, [*names, sheet])
+    files = [out / name for name in names]
+    check_output(plan.file, options.format, files, [out / sheet])
+
+    record = {
+        "run": str(options.run),
+        **made_by,
+        "vertices": plan.vertices,
+        "seam_ratio_input": seam_ratio((asset if plan.file is own else own).mesh),
+    }
+    details = {
+        name: {
+            key: values[place] for key, values in before.items() if key in _DETAILS and place < len(values)
+        }
+        for place, name in enumerate(before.get("files", []))
+    }
+    _write_record(out, record, list(details), details)  # first: it says whose files these are
+    bar = tqdm(plan.paint(), "variations", options.count, unit="texture", dynamic_ncols=True)
+    variations: list[Painting] = []  # what the contact sheet shows
+
+    def noted(names: Sequence[str]) -> Iterator[Painting]:
+        for name, (baked, said) in zip(names, bar, strict=True):
+            textured = shown(asset, baked)
+            details[name] = {"seam_ratios": seam_ratio(textured), **said}
+            if kept:
+                there = kept.at_size(*baked.images[kept.index].shape[:2])
+                details[name]["border_ratios"] = border_ratio(textured, there.index, there.texels)
+            variations.extend([baked] if len(variations) < 8 else [])
+            yield baked
+
+    if options.variants:
+        keeping(lambda: f"{names[0]} is written when all variations are made; the same command starts again")
+        details.clear()
+        write_variants(asset, zip(titles, noted(titles), strict=True), files[0])
+        _write_record(out, record, names, details)
+    else:
+        keeping(lambda: f"{len(details)} variations are kept in {out}; the same command makes all of them")
+        for file, baked in zip(files, noted(names), strict=True):
+            write(asset, baked, file)
+            write_atlases(asset, baked, file)
+            _write_record(out, record, list(details), details)
+    shown_titles = captions(titles, len(variations))
+    write_png(out / sheet, side_by_side(asset, variations, shown_titles, plan.up, own=own))
+    return out
+
+
+def learnt_plan(options: Sample) -> Plan:
+    """Variations by a trained generator."""
+    from flx.assets.formats.readers import READERS
+    from flx.assets.shape import read_shape
+    from flx.assets.unwrap import prepared_for
     from flx.pipeline.codec import digest_of
     from flx.pipeline.generator import sampler_named
     from flx.pipeline.inpainting import REPEATS, kept_texels
     from flx.pipeline.transfer import vertex_count
     from flx.pipeline.variations import check_labels, generate
-    from flx.stopping import keeping
     from flx.training.load import load_generator
 
-    check_size(options.texture_size)
-    if options.count < 1 or options.steps < 1:
-        raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
+    if options.patches != Patches():
+        odd = next(f.name for f in fields(Patches) if getattr(options.patches, f.name) != f.default)
+        raise ValueError(f"{odd} is {getattr(options.patches, odd)}, which goes with --instant; add that")
+    if options.run.suffix.lower() in READERS:
+        raise ValueError(
+            f"{options.run} is a mesh; add --instant to make textures without training, or train first: "
+            f"flx train {options.run}"
+        )
     generator = load_generator(options.run)
     kept = kept_texels(generator.asset, options.controls)
     rules = (options.controls.strength, REPEATS if kept else None)
@@ -71,67 +166,75 @@ def sample(options: Sample) -> Path:
     other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
     asset = prepared_for(other or generator.asset, options.format)
     check_labels(generator, options.controls, asset)
-    up = options.up or generator.experiment.surface.up
-    if options.variants:
-        check_variants(asset, options.format)
-    made_by = {
-        **settings(options),
-        "steps": len(chosen.table["t"]),
-        "step": generator.step,
-        "generator": digest_of(generator.params)[:12],
-        **{
-            f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-            for name in ("keep", "fill", "labels")
-            if (path := getattr(options.controls, name))
-        },
-    }
+
+    def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
+        rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)
+        return ((painting, {}) for painting in generate(generator, *rules, options.controls))
+
     home = options.run if options.run.is_dir() else options.run.parent
-    titles = [f"variation {n:02d}" for n in range(options.count)]
-    stems = ["variants"] if options.variants else [title.replace(" ", "_") for title in titles]
-    names = [f"{stem}.{options.format}" for stem in stems]
-    also, sheet = f"step-{generator.step}", "contact_sheet.png"
-    out, before = own_folder(options, home / "samples", also, "samples.json", made_by, [*names, sheet])
-    files = [out / name for name in names]
-    check_output(other or generator.asset, options.format, files, [out / sheet])
+    return Plan(
+        own=generator.asset,
+        asset=asset,
+        file=other or generator.asset,
+        up=options.up or generator.experiment.surface.up,
+        kept=kept,
+        usual=home / "samples",
+        also=f"step-{generator.step}",
+        made_by={
+            "steps": len(chosen.table["t"]),
+            "step": generator.step,
+            "generator": digest_of(generator.params)[:12],
+        },
+        vertices=vertex_count(generator, asset, options.controls.scale),
+        paint=paint,
+    )
 
-    record = {
-        "run": str(options.run),
-        **made_by,
-        "vertices": vertex_count(generator, asset, options.controls.scale),
-        "seam_ratio_input": seam_ratio((generator.asset if other else asset).mesh),
-    }
-    ratios = dict(zip(before.get("files", []), before.get("seam_ratios", []), strict=False))
-    borders = dict(zip(ratios, before.get("border_ratios", []), strict=False))
-    _write_record(out, record, list(ratios), ratios, borders)  # first: it says whose files these are
-    rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)
-    made = generate(generator, *rules, options.controls)
-    bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
-    variations: list[Painting] = []  # what the contact sheet shows
 
-    def noted(names: Sequence[str]) -> Iterator[Painting]:
-        for name, baked in zip(names, bar, strict=True):
-            textured = shown(asset, baked)
-            ratios[name] = seam_ratio(textured)
-            if kept:
-                there = kept.at_size(*baked.images[kept.index].shape[:2])
-                borders[name] = border_ratio(textured, there.index, there.texels)
-            variations.extend([baked] if len(variations) < 8 else [])
-            yield baked
+def instant_plan(options: Sample) -> Plan:
+    """Variations from pieces of the input, without training."""
+    from flx.assets.formats.readers import READERS
+    from flx.assets.read import read_with_maps
+    from flx.assets.shape import read_shape
+    from flx.assets.unwrap import prepared_for
+    from flx.pipeline.inpainting import kept_texels
+    from flx.pipeline.instant import check_instant, open_canvases, painted, patch_generator
+    from flx.pipeline.transfer import scaled_count
+    from flx.training.load import load_generator
 
-    if options.variants:
-        keeping(lambda: f"{names[0]} is written when all variations are made; the same command starts again")
-        ratios.clear()
-        write_variants(asset, zip(titles, noted(titles), strict=True), files[0])
-        _write_record(out, record, names, ratios, borders)
+    check_instant(options.controls)
+    up: Literal["y", "z"] = "y"
+    if options.run.suffix.lower() in READERS:
+        own, usual = read_with_maps(options.run, options.format), Path("runs", f"{options.run.stem}-instant")
     else:
-        keeping(lambda: f"{len(ratios)} variations are kept in {out}; the same command makes all of them")
-        for file, baked in zip(files, noted(names), strict=True):
-            write(asset, baked, file)
-            write_atlases(asset, baked, file)
-            _write_record(out, record, list(ratios), ratios, borders)
-    shown_titles = captions(titles, len(variations))
-    write_png(out / sheet, side_by_side(asset, variations, shown_titles, up, own=generator.asset))
-    return out
+        generator = load_generator(options.run)
+        own, up = generator.asset, generator.experiment.surface.up
+        usual = (options.run if options.run.is_dir() else options.run.parent) / "instant"
+    kept = kept_texels(own, options.controls)
+    other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
+    asset = prepared_for(other or own, options.format)
+
+    def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
+        stages = Stages(2)
+        stages("looking at the texture, coarse and fine")
+        generator = patch_generator(own, options.patches, 0, options.controls, asset)
+        stages("finding texels on the surface")
+        canvases = open_canvases(generator, options.texture_size)
+        for n in range(options.count):
+            anchors = generator.sample([options.seed, n])
+            yield painted(generator, canvases, anchors), {"pieces": generator.pieces(anchors)._asdict()}
+
+    return Plan(
+        own=own,
+        asset=asset,
+        file=other or own,
+        up=options.up or up,
+        kept=kept,
+        usual=usual,
+        also=own.digest[:8],
+        made_by={"method": "instant", "asset": own.digest[:12]},
+        vertices=scaled_count(options.patches.vertices, own, asset, options.controls.scale),
+        paint=paint,
+    )
 
 
 def captions(titles: Sequence[str], count: int) -> list[str]:
@@ -140,14 +243,15 @@ def captions(titles: Sequence[str], count: int) -> list[str]:
     return [*titles[: count - 1], titles[count - 1] + more]
 
 
+_DETAILS = ("seam_ratios", "border_ratios", "pieces")  # what the record says of each file, as lists
+
+
 def _write_record(
-    out: Path,
-    record: dict[str, Any],
-    files: list[str],
-    ratios: dict[str, float | None],
-    borders: dict[str, float | None],
+    out: Path, record: dict[str, Any], files: list[str], details: dict[str, dict[str, Any]]
 ) -> None:
-    """samples.json: the files that are there, and of each variation the ratios at seams and at borders."""
-    content = {**record, "files": files, "seam_ratios": list(ratios.values())}
-    content |= {"border_ratios": list(borders.values())} if borders else {}
+    """samples.json: the files that are there, and of each variation how its seams and borders are."""
+    said = {key: [of.get(key) for of in details.values()] for key in _DETAILS}
+    content = {**record, "files": files} | {
+        key: of for key, of in said.items() if any(x is not None for x in of)
+    }
     write_atomically(out / "samples.json", (json.dumps(content, indent=2) + "\n").encode())

@@ -25,6 +25,11 @@ def quantized(colors: Float[Any, "*N"], dtype: DTypeLike = np.uint8) -> UInt[Any
     return np.rint(np.clip(colors, 0, 1) * np.iinfo(dtype).max).astype(dtype)
 
 
+def eight_bits(image: UInt[Any, "H W 3"]) -> UInt8[Any, "H W 3"]:
+    """An image of 8 or 16 bits in 8 bits."""
+    return image if image.dtype == np.uint8 else quantized(image / np.iinfo(image.dtype).max)
+
+
 def resized(image: UInt8[Any, "H W 3"], height: int, width: int) -> UInt8[Any, "_ _ 3"]:
     """The image at another size, each pixel the mean of the area that it covers."""
     if image.shape[:2] == (height, width):

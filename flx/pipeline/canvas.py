@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Int32, UInt8
+from jaxtyping import Complex64, Float32, Int, Int32, UInt8
 from PIL import Image
 
 from flx.arguments import briefly, check_kind, check_word, whole
@@ -13,12 +13,12 @@ from flx.assets.formats.files import limit
 from flx.assets.tints import tinted
 from flx.geometry import render
 from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
-from flx.geometry.color import quantized, resized
+from flx.geometry.color import eight_bits, quantized, resized
 from flx.geometry.copies import Copy, queries_at
 from flx.geometry.sampling import transfer
 from flx.geometry.tangent import tangent_frames
 from flx.pipeline.codec import Codec
-from flx.types import Queries, SurfacePoints, TexturedMesh, Triangulation
+from flx.types import Queries, Slot, SurfacePoints, TexturedMesh, Triangulation
 
 LARGEST = 2048  # most pixels on the longer side of an atlas whose size is not given
 SMALLEST = 16  # least pixels that may be given
@@ -38,15 +38,18 @@ class Canvas(NamedTuple):
     atlases: tuple[Atlas | None, ...]  # None: a flat material, left alone
     faces: Int32[Any, "P"]  # of the triangulation; the texels of all atlases in turn, or the vertices
     barycentrics: Float32[Any, "P 3"]
+    slot: Slot = "base_color"  # the map whose texels they are
 
 
-def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | None = None) -> Canvas:
-    """Find every texel (or vertex) of the asset on the triangulation.
+def open_canvas(
+    asset: Asset, triangulation: Triangulation, texture_size: int | None = None, slot: Slot = "base_color"
+) -> Canvas:
+    """Find every texel of one of the asset's maps (or every vertex) on the triangulation.
 
     `texture_size`: pixels on the longer side; None: as the input has, at most `LARGEST`.
     """
     mesh = asset.mesh
-    atlases = atlases_of(asset, [atlas_size(image, texture_size) for image in mesh.textures])
+    atlases = atlases_of(asset, [atlas_size(i, texture_size) for i in mesh.maps[slot].images], slot)
     count = sum(int(atlas.covered.sum()) for atlas in atlases if atlas) or len(_vertex_points(asset)[0])
     faces, barycentrics, start = np.empty(count, np.int32), np.empty((count, 3), np.float32), 0
     for points in _shown_points(asset, atlases):
@@ -54,14 +57,16 @@ def open_canvas(asset: Asset, triangulation: Triangulation, texture_size: int | 
         chunk = slice(start, start + len(hits.faces))
         faces[chunk], barycentrics[chunk] = hits
         start = chunk.stop
-    return Canvas(asset, triangulation, atlases, faces, barycentrics)
+    return Canvas(asset, triangulation, atlases, faces, barycentrics, slot)
 
 
-def atlases_of(asset: Asset, sizes: Iterable[tuple[int, ...]]) -> tuple[Atlas | None, ...]:
-    """The texels of each texture at a size (height, width); None where it is flat."""
-    textures = enumerate(zip(asset.textures, sizes, strict=True))
+def atlases_of(
+    asset: Asset, sizes: Iterable[tuple[int, ...]], slot: Slot = "base_color"
+) -> tuple[Atlas | None, ...]:
+    """The texels of each image of a map at a size (height, width); None where it is flat."""
+    textures = enumerate(zip(asset.sources[slot], sizes, strict=True))
     return tuple(
-        None if texture.flat else atlas_texels(asset.mesh, index, height, width)
+        None if texture.flat else atlas_texels(asset.mesh, index, height, width, slot)
         for index, (texture, (height, width)) in textures
     )
 
@@ -130,23 +135,33 @@ def paint(
     return bake(open_canvas(asset, copy.triangulation, texture_size), codec.decoder(latents))
 
 
-def bake(canvas: Canvas, painter: Callable[[Queries], Float32[Any, "N 3"]]) -> Painting:
-    """The colours that `painter` gives `chunks`: images with filled gutters, or colours at vertices."""
+def bake(
+    canvas: Canvas,
+    painter: Callable[[Queries], Float32[Any, "N 3"]],
+    finish: Callable[[Int[Any, "N"], Float32[Any, "N 3"]], Float32[Any, "N 3"]] | None = None,
+) -> Painting:
+    """The colours that `painter` gives `chunks`: images with filled gutters, or colours at vertices.
+
+    `finish` makes an image's numbers of what the painter gives, with the faces of the asset that are there.
+    """
     asset, colors = canvas.asset, map(painter, chunks(canvas))
     if not canvas.atlases:
         whole = own_painting(asset).colors
         whole[_vertex_points(asset)[0]] = np.concatenate(list(colors))
         return Painting({}, whole)
     images = []
-    for atlas, image in zip(canvas.atlases, asset.mesh.textures, strict=True):
+    for atlas, image in zip(canvas.atlases, asset.mesh.maps[canvas.slot].images, strict=True):
         if atlas is None:
             images.append(image)
             continue
-        new, texels = resized(image, atlas.height, atlas.width).copy(), atlas.texels
+        new, texels = resized(eight_bits(image), atlas.height, atlas.width).copy(), atlas.texels
         for start in range(0, len(texels), CHUNK):
-            new.reshape(-1, 3)[texels[start : start + CHUNK]] = quantized(next(colors))
+            chunk = texels[start : start + CHUNK]
+            found = next(colors)
+            found = finish(atlas.faces.ravel()[chunk], found) if finish else found
+            new.reshape(-1, 3)[chunk] = quantized(found)
         images.append(fill_gutter(new, atlas.covered, max(2.0, GUTTER * max(atlas.height, atlas.width))))
-    return Painting({"base_color": tuple(images)})
+    return Painting({canvas.slot: tuple(images)})
 
 
 def chunks(canvas: Canvas) -> Iterator[Queries]:

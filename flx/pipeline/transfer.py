@@ -40,9 +40,14 @@ def vertex_count(generator: Generator, asset: Asset, scale: float = 1.0) -> int:
     `SAME_UNITS` say nothing, since meshes come in metres and in millimetres; then the ratio counts as 1.
     Raises ValueError for fewer than `LEAST` or more than `MOST`.
     """
-    ratio = _area(asset) / _area(generator.asset)
+    return scaled_count(len(generator.home.triangulation.vertices), generator.asset, asset, scale)
+
+
+def scaled_count(learnt: int, source: Asset, asset: Asset, scale: float) -> int:
+    """`vertex_count` where `source` has `learnt` vertices."""
+    ratio = _area(asset) / _area(source)
     ratio = ratio if 1 / SAME_UNITS <= ratio <= SAME_UNITS else 1.0
-    count = round(len(generator.home.triangulation.vertices) * ratio / scale**2)
+    count = round(learnt * ratio / scale**2)
     if not LEAST <= count <= MOST:
         bound, word = (LEAST, "less") if count < LEAST else (MOST, "more")
         wanted = scale * (max(count, 1) / bound) ** 0.5

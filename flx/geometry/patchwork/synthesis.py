@@ -1,0 +1,312 @@
+"""A new texture as a patchwork of an old one, from coarse to fine.
+
+At the coarsest level a chart covers about a third of the surface, so that its layout is decided as a whole;
+each finer level starts from the one before. In a level, vertices adopt the anchor whose surroundings in the
+source resemble most what is around them now, with a preference for what their neighbours predict. At the
+finest level seams are moved by minimal cuts. What comes out is anchors, not colours: every map of the source
+can be looked up there at its full resolution.
+"""
+
+from typing import Any, NamedTuple
+
+import igl
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+from scipy.spatial import KDTree
+
+from flx.geometry.arrays import face_areas
+from flx.geometry.patchwork.anchors import (
+    Anchors,
+    Surface,
+    averaged,
+    nearest_anchors,
+    outward,
+    placed,
+    predicted,
+    seen_from,
+    settled,
+    turned_frames,
+)
+from flx.geometry.patchwork.appearance import EDGE, REACH, Charts, Source, Views, seen, views
+from flx.geometry.patchwork.cuts import Patchwork
+from flx.geometry.patchwork.search import (
+    CENTRE,
+    Bank,
+    Usage,
+    anchors_of,
+    bank,
+    distances,
+    most_similar,
+    support,
+)
+from flx.geometry.remesh.remesh import remesh
+from flx.geometry.sampling import transfer
+from flx.geometry.tangent import corner_logs
+from flx.types import SurfacePoints, TexturedMesh, Triangulation
+
+COARSEST = 150  # vertices: a chart then covers about a third of the surface
+RATIO = 4.0  # most vertices of a level for one of the level before
+FINER = 4  # vertices of a source for one of its target
+SWEEPS = (24, 16, 16, 8)  # of the coarsest level, the next, …; the last number holds for all finer ones
+SEARCHED = (12, 2)  # first sweeps of the coarsest level, and of the others, that search all of the source
+AGREEMENT = 2.0  # weight of agreement with neighbours, in median distances, at coherence 1
+PRICE = 0.5  # weight of the price of overused parts, in median distances
+PARTS = 64  # of the source, whose use is counted
+INSERTED = 0.08  # new pieces that are tried for each vertex at coherence 1
+EXPANSIONS = (1, 2)  # rounds before new pieces are tried, and after
+RELAXATIONS = 8  # rounds that even out the anchors inside pieces
+FORBIDDEN = 1e3  # cost of what a source cannot give
+MISFIT = 0.05  # cost, beside seams, of a difference of curvature of 1
+MOST_BENT = 4.0  # squared difference of curvatures that counts
+CLOSE = 0.7  # edges between two predictions that are averaged
+
+
+class Level(NamedTuple):
+    """Source and target of one size."""
+
+    source: Source
+    target: Surface
+    view: Views
+    bank: Bank
+    usage: Usage
+    step: float  # as in `predicted`
+    bends: tuple[Float32[Any, "M"], Float32[Any, "V"]]  # of source and target (`curvature`)
+
+
+class Synthesis(NamedTuple):
+    """All that is made once for many textures of one target."""
+
+    levels: tuple[Level, ...]
+    wide: Views  # charts of the finest target as large as those of the level before
+    free: Bool[Any, "V"]  # vertices of the finest target that may change; others come from their own place
+
+
+def level_counts(finest: int) -> list[int]:
+    """Vertices of the levels."""
+    steps = max(1, int(np.ceil(np.log(finest / COARSEST) / np.log(RATIO)))) if finest > COARSEST else 0
+    counts = [round(COARSEST * (finest / COARSEST) ** (k / steps)) for k in range(steps)] if steps else []
+    return [*counts, finest]
+
+
+def prepare(
+    mesh: TexturedMesh,
+    triangulation: Triangulation,
+    seed: int,
+    scale: float = 1.0,
+    shape: Triangulation | None = None,
+    free: Bool[Any, "V"] | None = None,
+    damaged: TexturedMesh | None = None,
+) -> Synthesis:
+    """Levels of a textured mesh, for textures on a triangulation of it, or of another mesh.
+
+    Args:
+        mesh: The source, with filled gutters.
+        triangulation: The finest target.
+        seed: Of all triangulations.
+        scale: Size of details on the target; 2 makes them twice as large.
+        shape: The surface that the triangulation is one of, if it is not `mesh`.
+        free: Its vertices that may change; the others come from their own place. All, unless given.
+        damaged: The mesh with white texels where nothing may be taken from.
+
+    Levels too coarse for the surface's parts and holes are left out.
+    """
+    surface = shape or Triangulation(mesh.vertices, mesh.faces)
+    finest, levels, parts = len(triangulation.vertices), [], None
+    ratio = face_areas(mesh.vertices, mesh.faces).sum() / face_areas(*triangulation).sum() * scale**2
+    for number, count in enumerate(level_counts(finest)):
+        last = count == finest
+        try:
+            target = triangulation if last else remesh(surface.vertices, surface.faces, count, seed + number)
+            copy = remesh(mesh.vertices, mesh.faces, round(FINER * count * ratio), seed + 1000 + number)
+        except ValueError:
+            if last:
+                raise
+            continue
+        target, copy = Surface(target), Surface(copy)
+        step = target.radius / scale / copy.radius
+        source = Source(mesh, copy, REACH * EDGE * step, seed + number, damaged)
+        rng = np.random.default_rng([seed, number])
+        if parts is None:
+            parts = copy.triangulation.vertices[rng.permutation(len(copy))[:PARTS]]
+        regions = np.asarray(KDTree(parts).query(copy.triangulation.vertices)[1])
+        levels.append(
+            Level(
+                source,
+                target,
+                views(target, REACH * EDGE),
+                bank(source, rng),
+                Usage(copy, regions),
+                step,
+                (curvature(copy), curvature(target)),
+            )
+        )
+    target = levels[-1].target
+    wider = levels[max(len(levels) - 2, 0)].target.radius / target.radius
+    wide = views(target, REACH * EDGE * wider)
+    return Synthesis(tuple(levels), wide, np.ones(len(target), bool) if free is None else free)
+
+
+def curvature(surface: Surface) -> Float32[Any, "V"]:
+    """asinh of the mean curvature times the radius of a ball of the surface's area: 0.88 on a ball."""
+    vertices, faces = surface.triangulation
+    faces = faces.astype(np.int64)
+    masses = np.maximum(surface.frames.masses, 1e-300)
+    normals = (igl.cotmatrix(vertices, faces) @ vertices) / masses[:, None]
+    mean = -np.einsum("vx,vx->v", normals, outward(surface, np.arange(len(surface)))) / 2
+    mean[surface.frames.boundary] = 0
+    bend = np.arcsinh(mean * np.sqrt(masses.sum() / (4 * np.pi)))
+    for _ in range(2):
+        bend = np.einsum("vk,vk->v", bend[surface.rings.neighbors], surface.rings.weights)
+    return bend.astype(np.float32)
+
+
+def synthesize(
+    synthesis: Synthesis, seed: int | list[int], coherence: float = 1.0, guide: float = 0.0
+) -> Anchors:
+    """Anchors at the vertices of the finest target. The same seed gives the same bits on the same machine.
+
+    Args:
+        coherence: 0 takes the best match at every vertex; the larger, the larger the pieces.
+        guide: Weight of equal curvature: rims come from rims, hollows from hollows.
+    """
+    rng, levels, free = np.random.default_rng(seed), synthesis.levels, synthesis.free
+    if not free.any():
+        return own_places(levels[-1])
+    anchors = _anywhere(levels[0], rng)
+    for number, level in enumerate(levels):
+        if number:
+            anchors = _refined(levels[number - 1], level, anchors)
+        changing = np.arange(len(level.target))
+        if level is levels[-1] and not free.all():
+            anchors.put(~free, own_places(level).at(~free))
+            changing = np.flatnonzero(free)
+        for sweep in range(SWEEPS[min(number, len(SWEEPS) - 1)]):
+            half = rng.permutation(changing)[: (len(changing) + 1) // 2]
+            _improve(level, anchors, half, coherence, guide, sweep < SEARCHED[min(number, 1)])
+    level, coarse = levels[-1], levels[max(len(levels) - 2, 0)]
+    relax(level, anchors, free)
+    if coherence:
+
+        def misfit(there: Anchors, rows: Int[Any, "n"]) -> Float32[Any, "n"]:
+            return MISFIT * guide * _bending(level, there, rows)
+
+        work = Patchwork(level.source, level.target, anchors, level.step, free, misfit)
+        for _ in range(EXPANSIONS[0]):
+            work.expand(rng)
+        tried = round(min(INSERTED / coherence, 1) * len(level.target))
+        work.insert(coarse.bank, coarse.source, synthesis.wide, tried, rng)
+        for _ in range(EXPANSIONS[1]):
+            work.expand(rng)
+        relax(level, anchors, free)
+    missing = np.flatnonzero(free & ~level.source.can_give(anchors))
+    if len(missing):
+        _improve(level, anchors, missing, coherence, guide, search=True)
+    return anchors
+
+
+def _anywhere(level: Level, rng: np.random.Generator) -> Anchors:
+    source, count = level.source, len(level.target)
+    shares = source.surface.frames.masses * source.usable
+    vertices = rng.choice(len(shares), count, p=shares / shares.sum())
+    turns = np.exp(2j * np.pi * rng.random(count)).astype(np.complex64)
+    return Anchors(vertices, np.zeros(count, np.complex64), turns)
+
+
+def _improve(
+    level: Level, anchors: Anchors, rows: Int[Any, "n"], coherence: float, guide: float, search: bool
+) -> None:
+    """Some vertices adopt the best of their candidates, in place."""
+    source, target, step = level.source, level.target, level.step
+    charts = seen(source, level.view, anchors, step, rows)
+    candidates, counted = predicted(source.surface, target, anchors, step, rows), target.used[rows]
+    agreed = support(source.surface, candidates, counted, EDGE * step)
+    prices = PRICE * level.usage.prices(anchors, target.frames.masses)
+    if search:
+        found = most_similar(level.bank, charts, prices=_spread(charts) * prices[level.bank.vertices])
+        found = anchors_of(level.bank, *found)
+        candidates = Anchors(*(np.concatenate(both, 1) for both in zip(candidates, found, strict=True)))
+        counted = np.pad(counted, ((0, 0), (0, 1)), constant_values=True)
+        agreed = np.pad(agreed, ((0, 0), (0, 1)))
+    weights = np.where(level.view.owners[rows] == rows[:, None, None], np.float32(CENTRE), np.float32(1))
+    apart = distances(source, charts, candidates, weights)
+    unit = np.median(apart[:, 0]) + np.float32(1e-6)
+    costs = apart + unit * (AGREEMENT * coherence * (1 - agreed) + prices[candidates.vertices])
+    if guide:
+        costs += guide * unit * _bending(level, candidates, rows[:, None])
+    costs[~source.can_give(candidates)] += FORBIDDEN
+    costs[~counted] = np.inf
+    anchors.put(rows, candidates.at((np.arange(len(rows)), costs.argmin(1))))
+
+
+def _bending(level: Level, anchors: Anchors, rows: Int[Any, "..."]) -> Float32[Any, "..."]:
+    """How differently bent places of the source are that anchors of some rows lead to."""
+    difference = level.bends[0][anchors.vertices] - level.bends[1][rows]
+    return np.minimum(difference**2, MOST_BENT)
+
+
+def _spread(charts: Charts) -> np.float32:
+    """A small share of the squared distance between two charts."""
+    return np.float32(np.median(np.square(charts - charts.mean(0)).sum((1, 2, 3))) / 4)
+
+
+def _refined(coarse: Level, fine: Level, anchors: Anchors) -> Anchors:
+    """The anchors of a coarse target at the vertices of a finer one."""
+    target, before = fine.target, coarse.target
+    hits = _vertices_on(target, before)
+    nearest, each = hits.barycentrics.argmax(1), np.arange(len(target))
+    owners = before.triangulation.faces[hits.faces, nearest]
+    logs = corner_logs(before.frames, before.triangulation, *hits)[each, nearest].astype(np.complex64)
+    turn = turned_frames(target, each, before, owners)
+    of = anchors.at(owners)
+    there = Anchors(of.vertices, of.offsets + of.turns * logs * np.float32(coarse.step), of.turns * turn)
+    there = settled(coarse.source.surface, there)
+    normals = outward(coarse.source.surface, there.vertices)
+    return nearest_anchors(*placed(coarse.source.surface, there), normals, fine.source.surface)
+
+
+def _vertices_on(surface: Surface, other: Surface) -> SurfacePoints:
+    """The vertices of one surface on another."""
+    first = np.unique(surface.triangulation.faces.ravel(), return_index=True)[1]
+    points = SurfacePoints(first // 3, np.eye(3)[first % 3])
+    return transfer(points, surface.triangulation, other.triangulation)
+
+
+def relax(level: Level, anchors: Anchors, free: Bool[Any, "V"]) -> None:
+    """Average what neighbours of the same piece predict, so that its map is smooth; in place."""
+    source, target = level.source.surface, level.target
+    rows = np.flatnonzero(free)
+    for _ in range(RELAXATIONS):
+        says, own = predicted(source, target, anchors, level.step, rows), anchors.at(rows)
+        theirs, known = seen_from(source, own.vertices, says)
+        near = np.abs(theirs.offsets - own.offsets[:, None]) < CLOSE * EDGE * level.step
+        alike = (theirs.turns * np.conj(own.turns[:, None])).real > 0.6
+        mean, some = averaged(source, own.vertices, says, near & alike & known & target.used[rows])
+        anchors.put(rows[some], mean.at(some))
+
+
+def own_places(level: Level) -> Anchors:
+    """Anchors that take every vertex of the finest target from its own place, unturned."""
+    target = level.target
+    normals = outward(target, np.arange(len(target)))
+    return nearest_anchors(target.positions, target.x_axes, normals, level.source.surface)
+
+
+class Pieces(NamedTuple):
+    """What a patchwork consists of."""
+
+    count: int
+    largest: float  # share of the surface
+    mean: float  # size of the piece of a point, averaged over the surface
+    copied: float  # share of the surface that comes from its own place, unturned
+
+
+def pieces(synthesis: Synthesis, anchors: Anchors) -> Pieces:
+    """The pieces of a result; `copied` means nothing for another surface."""
+    level = synthesis.levels[-1]
+    of = Patchwork(level.source, level.target, anchors, level.step, synthesis.free).pieces()
+    masses = level.target.frames.masses / level.target.frames.masses.sum()
+    sizes = np.bincount(of, masses)
+    positions, directions = placed(level.source.surface, anchors)
+    near = np.linalg.norm(positions - level.target.positions, axis=1) < 2 * EDGE * level.target.radius
+    same = near & ((directions * level.target.x_axes).sum(1) > 0.9)
+    return Pieces(len(sizes), float(sizes.max()), float((sizes**2).sum()), float(masses[same].sum()))

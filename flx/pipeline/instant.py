@@ -1,0 +1,273 @@
+"""New textures without training: patchworks of an asset's own texture (`flx.geometry.patchwork`).
+
+Texels are looked up in the original images, so that nothing is lost to a codec and all maps of a material
+stay in register. Colours are shifted smoothly where pieces meet: slow changes of brightness do not end at a
+seam. The seams themselves are a fraction of an edge wide.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jax.tree_util import Partial
+from jaxtyping import Float32, Float64, Int
+from scipy.sparse import csc_array, csr_array, eye_array
+from scipy.sparse.linalg import splu
+
+from flx.arguments import check_kind, whole
+from flx.assets.asset import Asset, Images, Painting, check_asset
+from flx.assets.shape import read_shape
+from flx.config import Controls, Patches
+from flx.geometry.arrays import face_areas, unit_vectors
+from flx.geometry.atlas import with_filled_gutters
+from flx.geometry.patchwork.anchors import Anchors, settled
+from flx.geometry.patchwork.cuts import Patchwork
+from flx.geometry.patchwork.synthesis import Pieces, Synthesis, pieces, prepare, synthesize
+from flx.geometry.remesh.remesh import remesh
+from flx.geometry.sampling import face_normals, surface_colors, transfer
+from flx.pipeline.canvas import Canvas, bake, check_size, open_canvas
+from flx.pipeline.inpainting import HELD, Inpainting, kept_shares, kept_texels, restored
+from flx.pipeline.transfer import scaled_count
+from flx.types import SLOTS, Queries, Slot, TexturedMesh, Triangulation
+
+SAMPLES = 64  # points of a one-ring that say whether it is kept
+SHARPNESS = 6  # power of the barycentrics by which the corners of a face are blended
+LEAST = 0.03  # share of a blend below which a corner is left out
+SAME = 0.02  # difference of colours up to which two neighbours count as one piece
+BRIGHTNESS = 0.12  # difference that may be one of brightness; much larger ones are edges of the pattern
+STAY = 0.003  # weight of not shifting colours at all
+
+
+@dataclass(frozen=True)
+class PatchGenerator:
+    """What makes patchworks of one asset's texture, on it or on another mesh."""
+
+    asset: Asset  # whose texture it is
+    target: Asset  # what is painted
+    mesh: TexturedMesh  # the source, with filled gutters
+    synthesis: Synthesis
+    patches: Patches
+    held: Inpainting | None  # what stays of the texture
+
+    def sample(self, seed: int | list[int]) -> Anchors:
+        """Where every vertex of the finest target comes from. Same seed, same machine: same bits."""
+        return synthesize(self.synthesis, seed, self.patches.coherence, self.patches.guide)
+
+    def pieces(self, anchors: Anchors) -> Pieces:
+        """How many pieces of the input a result has, how large they are, and how much did not move at all."""
+        return pieces(self.synthesis, anchors)
+
+    @property
+    def triangulation(self) -> Triangulation:
+        """The finest target."""
+        return self.synthesis.levels[-1].target.triangulation
+
+
+def patch_generator(
+    asset: Asset,
+    patches: Patches | None = None,
+    seed: int = 0,
+    controls: Controls | None = None,
+    target: Asset | None = None,
+) -> PatchGenerator:
+    """Prepare new textures from pieces of an asset's own; no training.
+
+    Args:
+        asset: The mesh whose texture it is, from `flx.load`. Other maps that were read with it change, too.
+        patches: How pieces are chosen, a `flx.Patches`.
+        seed: Of the triangulations.
+        controls: A `flx.Controls`, of which keep, fill, mesh and scale count.
+        target: The mesh to paint, from `flx.load_shape`; that of the controls, or the asset, unless given.
+
+    Raises ValueError for controls that need training, and for a mesh that cannot be triangulated.
+
+    Example:
+        generator = flx.patch_generator(flx.load("bowl.glb"))
+        for n, painting in enumerate(flx.patchworks(generator, count=4)):
+            flx.save(generator.target, painting, f"variation_{n}.glb")
+    """
+    check_asset("asset", asset)
+    check_kind("patches", patches or Patches(), Patches, "a flx.Patches")
+    check_kind("controls", controls or Controls(), Controls, "a flx.Controls")
+    patches, controls, seed = patches or Patches(), controls or Controls(), whole("seed", seed)
+    check_instant(controls)
+    if target is None:
+        target = read_shape(controls.mesh) if controls.mesh else asset
+    check_asset("target", target)
+    mesh, kept = with_filled_gutters(asset.mesh), kept_texels(asset, controls)
+    surface = Triangulation(target.mesh.vertices, target.mesh.faces)
+    count = scaled_count(patches.vertices, asset, target, controls.scale)
+    triangulation = remesh(*surface, count, seed)
+    held, free, damaged = None, None, None
+    if kept:
+        shares = kept_shares(mesh, kept, triangulation, SAMPLES)
+        held, free = Inpainting(kept, shares, Partial(len)), shares < HELD
+        if controls.fill:
+            images = [np.zeros_like(image) for image in mesh.textures]
+            images[kept.index][~kept.texels] = 255
+            damaged = mesh.with_layer(images=tuple(images))
+    # How much larger than in the input details are in the units of the files, which may not be the same.
+    size = np.sqrt(face_areas(*surface).sum() / face_areas(mesh.vertices, mesh.faces).sum())
+    scale = float(size * np.sqrt(patches.vertices / count))
+    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged)
+    return PatchGenerator(asset, target, mesh, synthesis, patches, held)
+
+
+def check_instant(controls: Controls) -> None:
+    """Raises ValueError for controls that need a trained generator."""
+    usual = Controls()
+    for name in ("strength", "labels", "guidance"):
+        if (value := getattr(controls, name)) != getattr(usual, name):
+            raise ValueError(f"{name} is {value}, but nothing is learnt here; train a run, or leave it out")
+
+
+def patchworks(
+    generator: PatchGenerator, count: int = 4, seed: int = 0, texture_size: int | None = None
+) -> Iterator[Painting]:
+    """New textures, one after another, in every map that was read.
+
+    Args:
+        generator: From `flx.patch_generator`.
+        count: How many.
+        seed: Variation n depends on the seed and n alone.
+        texture_size: Pixels on the longer side; the input's, at most 2048 (all where some are kept), unless
+            given.
+    """
+    check_kind("generator", generator, PatchGenerator, "what flx.patch_generator returns")
+    count, seed = whole("count", count, 1), whole("seed", seed)
+    check_size(texture_size, "texture_size")
+    canvases = open_canvases(generator, texture_size)
+    for n in range(count):
+        yield painted(generator, canvases, generator.sample([seed, n]))
+
+
+def open_canvases(generator: PatchGenerator, texture_size: int | None = None) -> list[Canvas]:
+    """One for each map that both the target and the source have."""
+    if generator.held:
+        texture_size = texture_size or max(generator.held.kept.texels.shape)
+    both = generator.target.mesh.maps.keys() & generator.mesh.maps.keys()
+    return [
+        open_canvas(generator.target, generator.triangulation, texture_size, slot)
+        for slot in SLOTS
+        if slot in both
+    ]
+
+
+def painted(generator: PatchGenerator, canvases: Sequence[Canvas], anchors: Anchors) -> Painting:
+    """The maps of the target as its anchors find them in the source."""
+    shifts = color_shifts(generator.synthesis, anchors)
+    maps: dict[Slot, Images] = {}
+    colors = Painting({}).colors
+    for canvas in canvases:
+        if canvas.slot == "normal":
+            onto = partial(_as_texels, *tangent_axes(generator.target.mesh))
+            made = bake(canvas, normals_from(generator, anchors), onto)
+        else:
+            added = shifts if canvas.slot == "base_color" else np.zeros_like(shifts)
+            made = bake(canvas, colors_from(generator, anchors, canvas.slot, added))
+        if generator.held and canvas.slot == "base_color":
+            made = restored(generator.held, canvas, made)
+        maps.update(made.maps)
+        colors = made.colors if len(made.colors) else colors
+    return Painting(maps, colors)
+
+
+def colors_from(
+    generator: PatchGenerator, anchors: Anchors, slot: Slot, added: Float32[Any, "V 3"]
+) -> Callable[[Queries], Float32[Any, "P 3"]]:
+    """A painter: what a map of the source has where the anchors lead, and what is added at each vertex."""
+    source, mesh = generator.synthesis.levels[-1].source.surface, generator.mesh
+
+    def colors(at: Int[Any, "n"], there: Anchors) -> Float32[Any, "n 3"]:
+        points = transfer(source.points_at(there.vertices, there.offsets), source.triangulation, mesh)
+        return surface_colors(mesh, points, slot) + added[at]
+
+    return partial(_blended, generator, anchors, colors)
+
+
+def normals_from(generator: PatchGenerator, anchors: Anchors) -> Callable[[Queries], Float32[Any, "P 3"]]:
+    """A painter: how far normals lean in the source's normal map, turned to the target, in its space."""
+    level, mesh = generator.synthesis.levels[-1], generator.mesh
+    source, target = level.source.surface, level.target
+    right, up = tangent_axes(mesh)
+
+    def leaning(at: Int[Any, "n"], there: Anchors) -> Float32[Any, "n 3"]:
+        points = transfer(source.points_at(there.vertices, there.offsets), source.triangulation, mesh)
+        mapped = 2 * surface_colors(mesh, points, "normal") - 1
+        lean = mapped[:, :1] * right[points.faces] + mapped[:, 1:2] * up[points.faces]
+        x, y = source.x_axes[there.vertices], source.y_axes[there.vertices]
+        turned = ((lean * x).sum(1) + 1j * (lean * y).sum(1)) * np.conj(there.turns)
+        vector = target.x_axes[at] * turned.real[:, None] + target.y_axes[at] * turned.imag[:, None]
+        return vector.astype(np.float32)
+
+    return partial(_blended, generator, anchors, leaning)
+
+
+def _blended(
+    generator: PatchGenerator,
+    anchors: Anchors,
+    values: Callable[[Int[Any, "n"], Anchors], Float32[Any, "n 3"]],
+    queries: Queries,
+) -> Float32[Any, "P 3"]:
+    """Values where the three corners of each point's face lead, sharply blended."""
+    level = generator.synthesis.levels[-1]
+    weights = np.asarray(queries.barycentrics) ** SHARPNESS
+    weights /= weights.sum(1, keepdims=True)
+    weights[weights < LEAST] = 0
+    weights /= weights.sum(1, keepdims=True)
+    blend = np.zeros((len(weights), 3), np.float32)
+    for corner in range(3):
+        rows = np.flatnonzero(weights[:, corner])
+        at = queries.vertices[rows, corner]
+        of = anchors.at(at)
+        offsets = of.offsets + of.turns * queries.logs[rows, corner] * np.float32(level.step)
+        there = settled(level.source.surface, of._replace(offsets=offsets))
+        blend[rows] += weights[rows, corner, None] * values(at, there)
+    return blend
+
+
+def tangent_axes(mesh: TexturedMesh) -> tuple[Float32[Any, "F 3"], Float32[Any, "F 3"]]:
+    """What the red and the green of each face's normal map mean in space: right and up on the texture.
+
+    Unit vectors at right angles, as in glTF; 0 where a face has no area on the texture.
+    """
+    corners, uvs = mesh.vertices[mesh.faces], mesh.maps["normal"].corner_uvs
+    sides, steps = corners[:, 1:] - corners[:, :1], uvs[:, 1:] - uvs[:, :1]
+    side = np.sign(steps[:, 0, 0] * steps[:, 1, 1] - steps[:, 0, 1] * steps[:, 1, 0])[:, None]
+    right = unit_vectors(side * (sides[:, 0] * steps[:, 1, 1:] - sides[:, 1] * steps[:, 0, 1:]))
+    up = -side * np.cross(face_normals(mesh.vertices, mesh.faces), right)
+    return right.astype(np.float32), up.astype(np.float32)
+
+
+def _as_texels(
+    right: Float32[Any, "F 3"], up: Float32[Any, "F 3"], faces: Int[Any, "n"], leaning: Float32[Any, "n 3"]
+) -> Float32[Any, "n 3"]:
+    """Vectors in space as texels of a normal map."""
+    x, y = (leaning * right[faces]).sum(1), (leaning * up[faces]).sum(1)
+    longer = np.maximum(np.hypot(x, y), 1)
+    x, y = x / longer, y / longer
+    return np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0))], 1) / 2 + 0.5
+
+
+def color_shifts(synthesis: Synthesis, anchors: Anchors) -> Float32[Any, "V 3"]:
+    """Shifts of colour at the vertices, by which pieces of different brightness meet without a step.
+
+    Least squares, as in Poisson image editing (Pérez et al. 2003): neighbours of one piece are shifted alike;
+    across a seam the shifts differ by what colours differ there, unless that is an edge of the pattern.
+    """
+    level = synthesis.levels[-1]
+    work = Patchwork(level.source, level.target, anchors, level.step, synthesis.free)
+    here, there = work.shown[work.p, work.slot], work.shown[work.q, work.back, ::-1]
+    missing = (there - here)[..., :3].mean(1)  # what the neighbour says more than p
+    size = np.abs(missing).max(1)
+    same = size < SAME
+    roots = np.sqrt(np.where(same, 1, np.exp(-((size / BRIGHTNESS) ** 2))))
+    wanted = np.where(same[:, None], 0, missing / 2) * roots[:, None]
+    edges, count = np.arange(len(work.p)), len(level.target)
+    places = np.concatenate([edges, edges]), np.concatenate([work.p, work.q])
+    differences = csr_array((np.concatenate([roots, -roots]), places), shape=(len(edges), count))
+    system = csc_array(differences.T @ differences + STAY * eye_array(count))
+    shifts: Float64[Any, "V 3"] = splu(system).solve(differences.T @ wanted)
+    return shifts.astype(np.float32)
