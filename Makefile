@@ -3,7 +3,7 @@ VENV := .venv
 MESH ?=
 NAME := $(if $(MESH),$(basename $(notdir $(MESH))),demo)
 
-.PHONY: setup demo test test-fast bench
+.PHONY: setup demo test test-fast bench vendor
 
 setup: $(VENV)/.installed
 
@@ -30,3 +30,9 @@ test-fast: setup  # without the linters and the slow tests
 
 bench: setup  # timings of this machine, as JSON
 	$(VENV)/bin/flx bench
+
+vendor:  # three.js for the viewer, bundled again from the npm registry; needs Node. docs/credits.md has the hash
+	cd vendor && npm ci --silent && npm run --silent build
+	{ echo "/*! three.js $$(node -p 'require("./vendor/node_modules/three/package.json").version')"; \
+	  cat vendor/node_modules/three/LICENSE; echo '*/'; cat vendor/three.min.js; } > flx/viewer/three.min.js
+	sha256sum flx/viewer/three.min.js

@@ -41,11 +41,12 @@ if TYPE_CHECKING:
         quick,
     )
     from flx.evaluation.fidelity import fidelity
-    from flx.pipeline.canvas import paint, show
+    from flx.pipeline.canvas import paint, picture
     from flx.pipeline.codec import load_codec
     from flx.pipeline.copies import triangulate
     from flx.pipeline.variations import generate
     from flx.training.load import load_generator
+    from flx.viewer.notebook import show
 
 _HOME = {
     "load": "assets.read:read_asset",
@@ -57,7 +58,8 @@ _HOME = {
     "triangulate": "pipeline.copies",
     "load_codec": "pipeline.codec",
     "paint": "pipeline.canvas",
-    "show": "pipeline.canvas",
+    "picture": "pipeline.canvas",
+    "show": "viewer.notebook",
     "save": "assets.write:write",
     "fidelity": "evaluation.fidelity",
     "quick": "config",

@@ -18,7 +18,7 @@ from flx.files import write_atomically
 
 @dataclass(frozen=True)
 class Sample:
-    """Make new textures: variation_00.glb and more, their atlases, a contact sheet and samples.json.
+    """Make new textures: variation_00.glb and more, their atlases, a contact sheet, a page and samples.json.
 
     Example: flx sample runs/demo --count 4
     """
@@ -34,11 +34,17 @@ class Sample:
     variants: bool = False  # write one GLB, variants.glb, with all variations as material variants
     steps: int = STEPS  # evaluations of the network; "ancestral" takes all steps of the schedule instead
     sampler: Sampler = "dpm"  # "dpm" is of second order, "ddim" of first; "ancestral" is DDPM
-    up: Literal["y", "z"] | None = None  # the axis that points up in the contact sheet; as in the run
+    up: Literal["y", "z"] | None = None  # the axis that points up in the pictures; as in the run
+    viewer: bool = True  # write viewer.html: all of them in 3D, one file that needs no network
     controls: OmitArgPrefixes[Controls] = field(default_factory=Controls)
 
     def __call__(self) -> None:
-        print(sample(self))
+        from flx.commands.viewer import name_viewer
+
+        out = sample(self)
+        print(out, flush=True)
+        if self.viewer:
+            name_viewer(out)
 
 
 def sample(options: Sample) -> Path:
@@ -51,6 +57,7 @@ def sample(options: Sample) -> Path:
     from flx.assets.unwrap import prepared_for
     from flx.assets.variants import check_variants, write_variants
     from flx.assets.write import write, write_atlases, write_png
+    from flx.commands.viewer import write_viewer
     from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
     from flx.pipeline.codec import digest_of
@@ -60,6 +67,7 @@ def sample(options: Sample) -> Path:
     from flx.pipeline.variations import check_labels, generate
     from flx.stopping import keeping
     from flx.training.load import load_generator
+    from flx.viewer.page import NAME, shot
 
     check_size(options.texture_size)
     if options.count < 1 or options.steps < 1:
@@ -90,9 +98,10 @@ def sample(options: Sample) -> Path:
     stems = ["variants"] if options.variants else [title.replace(" ", "_") for title in titles]
     names = [f"{stem}.{options.format}" for stem in stems]
     also, sheet = f"step-{generator.step}", "contact_sheet.png"
-    out, before = own_folder(options, home / "samples", also, "samples.json", made_by, [*names, sheet])
+    pictures = [sheet, NAME] if options.viewer else [sheet]
+    out, before = own_folder(options, home / "samples", also, "samples.json", made_by, [*names, *pictures])
     files = [out / name for name in names]
-    check_output(other or generator.asset, options.format, files, [out / sheet])
+    check_output(other or generator.asset, options.format, files, [out / name for name in pictures])
 
     record = {
         "run": str(options.run),
@@ -107,6 +116,7 @@ def sample(options: Sample) -> Path:
     made = generate(generator, *rules, options.controls)
     bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
     variations: list[Painting] = []  # what the contact sheet shows
+    shots = [shot("input", generator.asset)]  # what the page shows
 
     def noted(names: Sequence[str]) -> Iterator[Painting]:
         for name, baked in zip(names, bar, strict=True):
@@ -116,6 +126,9 @@ def sample(options: Sample) -> Path:
                 there = kept.at_size(*baked.images[kept.index].shape[:2])
                 borders[name] = border_ratio(textured, there.index, there.texels)
             variations.extend([baked] if len(variations) < 8 else [])
+            if options.viewer:
+                file = files[0].name if options.variants else name
+                shots.append(shot(titles[len(shots) - 1], asset, baked, file))
             yield baked
 
     if options.variants:
@@ -131,6 +144,10 @@ def sample(options: Sample) -> Path:
             _write_record(out, record, list(ratios), ratios, borders)
     shown_titles = captions(titles, len(variations))
     write_png(out / sheet, side_by_side(asset, variations, shown_titles, up, own=generator.asset))
+    if options.viewer:
+        title = f"{asset.path.name}: {len(titles)} variation{'s' * (len(titles) > 1)}"
+        said = {"run": options.run, "vertices": record["vertices"], **made_by}
+        write_viewer(out, title, shots, said, up)
     return out
 
 
