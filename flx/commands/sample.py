@@ -146,7 +146,7 @@ def sample(options: Sample) -> Path:
     write_png(out / sheet, side_by_side(asset, variations, shown_titles, up, own=generator.asset))
     if options.viewer:
         title = f"{asset.path.name}: {len(titles)} variation{'s' * (len(titles) > 1)}"
-        said = {"run": options.run, "vertices": record["vertices"], **made_by}
+        said = {"seed": options.seed, "run": options.run, "vertices": record["vertices"], **made_by}
         write_viewer(out, title, shots, said, up)
     return out
 

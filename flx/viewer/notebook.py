@@ -28,7 +28,9 @@ class Page:
         # In a sandbox of its own, the page can neither read the notebook nor run code in it.
         rights = 'sandbox="allow-scripts" title="flx viewer"'
         look = f'style="width:100%;height:{self.height}px;border:0"'
-        return f'<iframe {rights} {look} srcdoc="{escape(self.content.decode())}"></iframe>'
+        # Letters beyond ASCII as numbers, so that the frame is the same whatever the encoding around it.
+        text = escape(self.content.decode()).encode("ascii", "xmlcharrefreplace").decode()
+        return f'<iframe {rights} {look} srcdoc="{text}"></iframe>'
 
 
 def show(

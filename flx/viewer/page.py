@@ -55,8 +55,9 @@ def page(
 ) -> bytes:
     """The page, of at most `limit` bytes. The first shot is the input; the same input gives the same bytes.
 
-    Textures are at most 1024 pixels, smaller and of lower quality where there are many. Paintings that do not
-    fit even so are left out, from the last one; the page says both.
+    Settings that are None or False are not shown. Textures are at most 1024 pixels, smaller and of lower
+    quality where there are many. Paintings that do not fit even so are left out, from the last one; the page
+    says both.
 
     Raises ValueError where the mesh alone is too large.
     """
@@ -67,7 +68,9 @@ def page(
     data: dict[str, Any] = {
         "up": up,
         "meshes": [{**surfaces[key].data, "alphas": alphas[key]} for key in assets],
-        "settings": [[name, _word(value)] for name, value in settings.items() if value is not None],
+        "settings": [
+            [name, _word(it)] for name, it in settings.items() if it is not None and it is not False
+        ],
     }
     count, least = len(shots), min(2, len(shots))
     while count >= least:

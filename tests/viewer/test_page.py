@@ -78,13 +78,15 @@ def test_a_page_holds_the_input_and_every_painting_in_closed_elements(asset):
         shot("input", asset),
         *(shot(f"v {n}", asset, p, f"v_{n}.glb") for n, p in enumerate(paintings(asset, 3))),
     ]
-    content = page("tetrahedron", shots, {"seed": 7, "none": None, "run": "/home/anna/secret/demo"})
+    content = page(
+        "tetrahedron", shots, {"seed": 0, "none": None, "off": False, "run": "/home/anna/secret/demo"}
+    )
     tags, data = Tags(content), data_of(content)
     assert len(tags.seen) > 30 and "".join(tags.texts["title"]) == "tetrahedron"
     assert [one["name"] for one in data["paintings"]] == ["input", "v 0", "v 1", "v 2"]
     assert [one["file"] for one in data["paintings"]] == ["", "v_0.glb", "v_1.glb", "v_2.glb"]
     assert len(data["meshes"]) == 1 and len(set(data["pictures"])) == 4
-    assert data["settings"] == [["seed", "7"], ["run", "demo"]] and b"anna" not in content
+    assert data["settings"] == [["seed", "0"], ["run", "demo"]] and b"anna" not in content
     buttons = [attributes for tag, attributes in tags.seen if tag == "button"]
     assert len(buttons) == 7 and all(one["type"] == "button" for one in buttons)
 
