@@ -63,6 +63,7 @@
       #endif
       float alpha = opacity * (hasAlpha ? texture2D(alphas, place).r : 1.0);
       if (alpha < cutoff) discard;
+      if (cutoff > 0.0) alpha = 1.0;
       vec3 n = normalize(normalHere), eye = normalize(towards), key = normalize(vec3(-0.35, 0.5, 0.8));
       vec3 sky = (viewMatrix * vec4(0.0, 1.0, 0.0, 0.0)).xyz;
       if (dot(n, eye) < 0.0) n = -n;
@@ -141,6 +142,7 @@
         side: THREE.DoubleSide,
         vertexColors: Boolean(painting.colors),
         transparent: group.alpha_mode === "BLEND",
+        forceSinglePass: false, // what is seen through is drawn from the back
         polygonOffset: true,
         polygonOffsetFactor: 1,
         polygonOffsetUnits: 1,
@@ -508,6 +510,7 @@
     button.addEventListener("click", () => choose(n));
     return button;
   }));
+  canvas.addEventListener("webglcontextrestored", draw);
   new ResizeObserver(arrange).observe(stage);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { colorScheme(); update(); });
   update();

@@ -7,7 +7,7 @@ size on the screen, as in the pictures that flx makes (`flx.geometry.render`).
 
 import base64
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,9 +28,9 @@ class Look(NamedTuple):
     """What is done with the colours of a material's faces: glTF's words."""
 
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of the image, in linear light
-    opacity: float = 1.0
+    opacity: float | int = 1.0
     alpha_mode: str = "OPAQUE"
-    cutoff: float = 0.5
+    cutoff: float | int = 0.5
 
 
 class Rows(NamedTuple):
@@ -106,7 +106,7 @@ def packed(array: np.ndarray) -> str:
     return base64.b64encode(zlib.compress(little.tobytes(), 6)).decode()
 
 
-def look(asset: Asset, material: int, factors: Mapping[int, tuple[float, float, float]]) -> Look:
+def look(asset: Asset, material: int, factors: Mapping[int, Sequence[float | int]]) -> Look:
     """The look of a material; `factors` are those of tinted ones.
 
     The colour of a material without an image is in the image that flx made of it.
@@ -118,4 +118,5 @@ def look(asset: Asset, material: int, factors: Mapping[int, tuple[float, float, 
     entry = entries[material] if material < len(entries) else {}
     opacity = entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1])[3]
     mode, cutoff = entry.get("alphaMode", "OPAQUE"), entry.get("alphaCutoff", 0.5)
-    return Look(factors.get(material, (1.0, 1.0, 1.0)), opacity, mode, cutoff)
+    red, green, blue = map(float, factors.get(material, (1, 1, 1)))
+    return Look((red, green, blue), opacity, mode, cutoff)

@@ -12,11 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.files import colored_ball, obj
+from helpers.scene import container, save
 from helpers.textured import noise
 from PIL import Image
 
 import flx
 from flx.assets.asset import Asset, Painting, own_painting
+from flx.assets.formats.gltf import Gltf
 from flx.assets.read import read_asset
 from flx.viewer.page import LIMIT, page, shot
 
@@ -176,6 +178,42 @@ def test_the_page_shows_the_surface_of_the_asset_in_its_colours(tmp_path):
             colors = unpacked(data["paintings"][0]["colors"], "u1", 3)[faces] / 255
             np.testing.assert_allclose(colors, mesh.corner_colors, atol=0.003)
             assert np.ptp(colors) > 0.5 and drawn["uvs"] is None and data["pictures"] == []
+
+
+def test_faces_are_grouped_by_what_their_material_looks_like(tmp_path):
+    """A tinted material with alpha, one without, and faces of one image in the order of the mesh."""
+    gltf = container()
+    shift = np.array(
+        [[0, 0, 2], [1, 0, 2], [1, 1, 2], [0, 1, 2]], np.float32
+    )  # else one part hides the other
+    gltf.document["accessors"].append({**gltf.document["accessors"][0], "bufferView": 6})
+    gltf.document["meshes"][0]["primitives"][1]["attributes"]["POSITION"] = 3
+    gltf.document["bufferViews"].append({"buffer": 0, "byteLength": shift.nbytes})
+    asset = read_asset(save(Gltf(gltf.document, (*gltf.views, shift.tobytes())), tmp_path / "a.glb"))
+    data = data_of(page("x", [shot("input", asset)], {}))
+    (drawn,) = data["meshes"]
+    red, green = drawn["groups"]
+    assert (red["factor"], red["alpha_mode"], green["factor"], green["alpha_mode"]) == (
+        [0.5, 1, 1],
+        "BLEND",
+        [1, 1, 1],
+        "OPAQUE",
+    )
+    assert [bool(url) for url in drawn["alphas"]] == [True, False]
+    uvs = unpacked(drawn["uvs"], "<f4", 2)[unpacked(drawn["faces"], "<u4", 3)]
+    for group in (red, green):
+        own = asset.mesh.face_textures == group["image"]
+        part = uvs[group["start"] : group["start"] + group["count"]]
+        np.testing.assert_allclose(part, asset.mesh.corner_uvs[own], atol=1e-6)
+        assert len(part) == 2
+    colors = [
+        np.asarray(Image.open(io.BytesIO(base64.b64decode(u.split(",")[1])))).mean((0, 1))
+        for u in data["pictures"]
+    ]
+    order = [
+        int(np.argmax(colors[data["paintings"][0]["pictures"][group["image"]]])) for group in (red, green)
+    ]
+    assert order == [0, 1]
 
 
 def test_seams_are_the_edges_where_the_coordinates_part(tmp_path):
