@@ -1,5 +1,6 @@
 PYTHON ?= python3
 VENV := .venv
+EXTRAS ?= dev
 MESH ?=
 NAME := $(if $(MESH),$(basename $(notdir $(MESH))),demo)
 
@@ -11,7 +12,7 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "flx needs Python 3.11 or newer; say make PYTHON=/path/to/python3.11"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
 	@touch $@
 
 demo: setup  # learn the embedded vase (or MESH=your.glb) and make four variations of it
