@@ -1,9 +1,10 @@
 PYTHON ?= python3
 VENV := .venv
+EXTRAS ?= dev
 MESH ?=
 NAME := $(if $(MESH),$(basename $(notdir $(MESH))),demo)
 
-.PHONY: setup demo test test-fast bench
+.PHONY: setup demo test test-fast bench vendor
 
 setup: $(VENV)/.installed
 
@@ -11,7 +12,7 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "flx needs Python 3.11 or newer; say make PYTHON=/path/to/python3.11"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
 	@touch $@
 
 demo: setup  # learn the embedded vase (or MESH=your.glb) and make four variations of it
@@ -30,3 +31,9 @@ test-fast: setup  # without the linters and the slow tests
 
 bench: setup  # timings of this machine, as JSON
 	$(VENV)/bin/flx bench
+
+vendor:  # three.js for the viewer, bundled again from the npm registry; needs Node. docs/credits.md has the hash
+	cd vendor && npm ci --silent && npm run --silent build
+	{ echo "/*! three.js $$(node -p 'require("./vendor/node_modules/three/package.json").version')"; \
+	  cat vendor/node_modules/three/LICENSE; echo '*/'; cat vendor/three.min.js; } > flx/viewer/three.min.js
+	sha256sum flx/viewer/three.min.js

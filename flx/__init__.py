@@ -45,12 +45,13 @@ if TYPE_CHECKING:
         quick,
     )
     from flx.evaluation.fidelity import fidelity
-    from flx.pipeline.canvas import paint, show
+    from flx.pipeline.canvas import paint, picture
     from flx.pipeline.codec import load_codec
     from flx.pipeline.copies import triangulate
     from flx.pipeline.instant import patch_generator, patchworks
     from flx.pipeline.variations import generate
     from flx.training.load import load_generator
+    from flx.viewer.notebook import show
 
 _HOME = {
     "load": "assets.read:read_asset",
@@ -62,7 +63,8 @@ _HOME = {
     "triangulate": "pipeline.copies",
     "load_codec": "pipeline.codec",
     "paint": "pipeline.canvas",
-    "show": "pipeline.canvas",
+    "picture": "pipeline.canvas",
+    "show": "viewer.notebook",
     "save": "assets.write:write",
     "fidelity": "evaluation.fidelity",
     "quick": "config",

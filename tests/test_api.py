@@ -58,7 +58,8 @@ def test_there_and_back_from_arrays(tmp_path):
     assert isinstance(again, Asset) and again.mesh.textures[0].shape == (128, 128, 3)
     np.testing.assert_array_equal(again.mesh.textures[0], back.images[0])
     assert 12 < flx.fidelity(asset, back)["psnr"] < 40
-    assert flx.show(asset, back, size=64).width >= 2 * 64
+    assert flx.picture(asset, back, size=64).width >= 2 * 64
+    assert "<iframe" in flx.show(asset, back)._repr_html_()
     with pytest.raises(ValueError, match=r"give \[600, 8\]: a code for each vertex"):
         flx.paint(asset, copy, codec, np.zeros((5, 8), np.complex64))
 

@@ -19,7 +19,7 @@ from flx.files import write_atomically
 
 @dataclass(frozen=True)
 class Sample:
-    """Make new textures: variation_00.glb and more, their atlases, a contact sheet and samples.json.
+    """Make new textures: variation_00.glb and more, their atlases, a contact sheet, a page and samples.json.
 
     Example: flx sample runs/demo --count 4
              flx sample bowl.glb --instant      without training, from pieces of its own texture
@@ -38,12 +38,18 @@ class Sample:
     variants: bool = False  # write one GLB, variants.glb, with all variations as material variants
     steps: int = STEPS  # evaluations of the network; "ancestral" takes all steps of the schedule instead
     sampler: Sampler = "dpm"  # "dpm" is of second order, "ddim" of first; "ancestral" is DDPM
-    up: Literal["y", "z"] | None = None  # the axis that points up in the contact sheet; as in the run
+    up: Literal["y", "z"] | None = None  # the axis that points up in the pictures; as in the run
+    viewer: bool = True  # write viewer.html: all of them in 3D, one file that needs no network
     controls: OmitArgPrefixes[Controls] = field(default_factory=Controls)
     patches: OmitArgPrefixes[Patches] = field(default_factory=Patches)
 
     def __call__(self) -> None:
-        print(sample(self))
+        from flx.commands.viewer import name_viewer
+
+        out = sample(self)
+        print(out, flush=True)
+        if self.viewer:
+            name_viewer(out)
 
 
 class Plan(NamedTuple):
@@ -69,9 +75,11 @@ def sample(options: Sample) -> Path:
     from flx.assets.preflight import check_output
     from flx.assets.variants import check_variants, write_variants
     from flx.assets.write import write, write_atlases, write_png
+    from flx.commands.viewer import write_viewer
     from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
     from flx.stopping import keeping
+    from flx.viewer.page import NAME, shot
 
     check_size(options.texture_size)
     if options.count < 1 or options.steps < 1:
@@ -93,9 +101,10 @@ def sample(options: Sample) -> Path:
     stems = ["variants"] if options.variants else [title.replace(" ", "_") for title in titles]
     names = [f"{stem}.{options.format}" for stem in stems]
     sheet = "contact_sheet.png"
-    out, before = own_folder(options, plan.usual, plan.also, "samples.json", made_by, [*names, sheet])
+    pictures = [sheet, NAME] if options.viewer else [sheet]
+    out, before = own_folder(options, plan.usual, plan.also, "samples.json", made_by, [*names, *pictures])
     files = [out / name for name in names]
-    check_output(plan.file, options.format, files, [out / sheet])
+    check_output(plan.file, options.format, files, [out / name for name in pictures])
 
     record = {
         "run": str(options.run),
@@ -112,6 +121,7 @@ def sample(options: Sample) -> Path:
     _write_record(out, record, list(details), details)  # first: it says whose files these are
     bar = tqdm(plan.paint(), "variations", options.count, unit="texture", dynamic_ncols=True)
     variations: list[Painting] = []  # what the contact sheet shows
+    shots = [shot("input", own)]  # what the page shows
 
     def noted(names: Sequence[str]) -> Iterator[Painting]:
         for name, (baked, said) in zip(names, bar, strict=True):
@@ -121,6 +131,9 @@ def sample(options: Sample) -> Path:
                 there = kept.at_size(*baked.images[kept.index].shape[:2])
                 details[name]["border_ratios"] = border_ratio(textured, there.index, there.texels)
             variations.extend([baked] if len(variations) < 8 else [])
+            if options.viewer:
+                file = files[0].name if options.variants else name
+                shots.append(shot(titles[len(shots) - 1], asset, baked, file))
             yield baked
 
     if options.variants:
@@ -136,6 +149,10 @@ def sample(options: Sample) -> Path:
             _write_record(out, record, list(details), details)
     shown_titles = captions(titles, len(variations))
     write_png(out / sheet, side_by_side(asset, variations, shown_titles, plan.up, own=own))
+    if options.viewer:
+        title = f"{asset.path.name}: {len(titles)} variation{'s' * (len(titles) > 1)}"
+        said = {"seed": options.seed, "run": options.run, "vertices": plan.vertices, **made_by}
+        write_viewer(out, title, shots, said, plan.up)
     return out
 
 

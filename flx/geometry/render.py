@@ -70,7 +70,7 @@ def look(
     screen = seen[:, :2] * [zoom, -zoom] / depths[:, None] + (rays - 1) / 2
     hits, points = _visible(screen, depths, mesh.faces, rays)
 
-    normals = np.einsum("pkx,pk->px", _corner_normals(mesh).take(points.faces, 0), points.barycentrics)
+    normals = np.einsum("pkx,pk->px", corner_normals(mesh).take(points.faces, 0), points.barycentrics)
     towards = -np.einsum("pkx,pk->px", seen.take(mesh.faces.take(points.faces, 0), 0), points.barycentrics)
     light, gloss = _lighting(normals @ axes.T, towards, axes @ np.eye(3)["xyz".index(up)])
     return View(hits, points, light, gloss, size, supersample)
@@ -127,7 +127,7 @@ def _visible(
     return pixels, SurfacePoints(hits, np.ascontiguousarray((shares / shares.sum(0)).T))
 
 
-def _corner_normals(mesh: TexturedMesh) -> Float64[Any, "F 3 3"]:
+def corner_normals(mesh: TexturedMesh) -> Float64[Any, "F 3 3"]:
     """Area-weighted vertex normals, but the face's own normal at corners on a crease."""
     flat = face_normals(mesh.vertices, mesh.faces)
     areas = area_normals(mesh.vertices, mesh.faces)

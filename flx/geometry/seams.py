@@ -61,6 +61,18 @@ def seam_jump(mesh: TexturedMesh, slot: Slot = "base_color") -> SeamJump | None:
     return SeamJump(*(float(np.average(jumps[at], weights=lengths[at])) for at in (seam, ~seam)))
 
 
+def seam_corners(mesh: TexturedMesh, slot: Slot = "base_color") -> Int[Any, "S 2"]:
+    """The two corners from which each seam starts, one in the face on either side; none without images.
+
+    Corner 3f + i is faces[f, i]; the seam goes to the next corner of the face. Open borders are no seams.
+    """
+    layer = mesh.maps[slot]
+    if not layer.images:
+        return np.zeros((0, 2), np.int64)
+    edges = _after(edges_of(mesh.faces, len(mesh.vertices)).inner)
+    return edges[_is_seam(layer, edges)]
+
+
 def _after(corners: Int[Any, "*N"]) -> Int[Any, "*N"]:
     """The next corner of the same face; corner 3f + i is faces[f, i] and stands for the edge to the next."""
     return corners - corners % 3 + (corners + 1) % 3

@@ -184,7 +184,7 @@ def shown(asset: Asset, painting: Painting) -> TexturedMesh:
     return mesh if asset.textures else mesh._replace(corner_colors=painting.colors[asset.corner_vertices])
 
 
-def show(asset: Asset, *paintings: Painting, up: Literal["y", "z"] = "y", size: int = 384) -> Image.Image:
+def picture(asset: Asset, *paintings: Painting, up: Literal["y", "z"] = "y", size: int = 384) -> Image.Image:
     """A picture of the asset and of each painting of it, side by side, from two sides.
 
     Args:
@@ -194,7 +194,7 @@ def show(asset: Asset, *paintings: Painting, up: Literal["y", "z"] = "y", size: 
         size: Pixels of one view.
 
     Example:
-        flx.show(asset, *flx.generate(generator, count=3))
+        flx.picture(asset, *flx.generate(generator, count=3))
     """
     check_asset("asset", asset)
     for n, painting in enumerate(paintings):

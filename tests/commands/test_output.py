@@ -161,3 +161,50 @@ def test_meshes_of_one_name_are_reconstructed_into_folders_of_their_own(tmp_path
     assert folders[0] == folders[2] == Path("runs/a-there-and-back-vertices-60-texture-size-16")
     assert folders[1] != folders[0] and (folders[0] / "reconstruction.glb").read_bytes() == contents[0]
     assert contents[1] != contents[0] == contents[2]
+
+
+def test_a_page_of_all_variations_is_written_last_and_named_last(generator, tmp_path, capsys):
+    folder = sample(Sample(tmp_path / "run", count=2))
+    content = (folder / "viewer.html").read_bytes()
+    assert content.count(b'"name":"variation 0') == 2 and b'"file":"variation_01.glb"' in content
+    assert b'["seed","0"],["run","run"]' in content
+    Sample(tmp_path / "run", count=2)()
+    said = capsys.readouterr()
+    assert said.out.splitlines() == [str(folder)] and (folder / "viewer.html").read_bytes() == content
+    assert said.err.splitlines()[-1] == f"flx: to look at them, open {folder / 'viewer.html'} in a browser"
+
+
+def test_variants_are_shown_each_and_downloaded_together(generator, tmp_path):
+    content = (sample(Sample(tmp_path / "run", count=2, variants=True)) / "viewer.html").read_bytes()
+    assert content.count(b'"name":"variation 0') == content.count(b'"file":"variants.glb"') == 2
+
+
+def test_no_page_is_written_where_none_is_wanted(generator, tmp_path, capsys):
+    Sample(tmp_path / "run", count=1, viewer=False)()
+    out = tmp_path / "run" / "samples"
+    assert (out / "variation_00.glb").exists() and not (out / "viewer.html").exists()
+    assert "viewer" not in capsys.readouterr().err
+    assert sample(Sample(tmp_path / "run", count=1)) == out, "the option makes no other variations"
+
+
+def test_a_page_that_fails_costs_a_line_and_nothing_else(generator, tmp_path, capsys, monkeypatch):
+    first = sample(Sample(tmp_path / "run", count=1))
+    capsys.readouterr()
+    monkeypatch.setattr(
+        "flx.commands.viewer.page", lambda *rest: (_ for _ in ()).throw(ValueError("too\nlarge"))
+    )
+    Sample(tmp_path / "run", count=2)()
+    said = capsys.readouterr()
+    assert said.err.splitlines()[-1] == (
+        f"flx: {first / 'viewer.html'} was not written (too large); --no-viewer leaves it out"
+    )
+    assert said.out.strip() == str(first) and (first / "variation_01.glb").exists()
+    assert not (first / "viewer.html").exists(), "an older page would mislead"
+
+
+def test_a_page_of_someone_else_is_left_alone(generator, tmp_path):
+    mine = tmp_path / "run" / "samples" / "viewer.html"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    assert sample(Sample(tmp_path / "run", count=1)).name == "samples-step-5"
+    assert mine.read_text() == "mine"
