@@ -50,13 +50,13 @@ FINER = 4  # vertices of a source for one of its target
 SWEEPS = (24, 16, 16, 8)  # of the coarsest level, the next, …; the last number holds for all finer ones
 SEARCHED = (12, 2)  # first sweeps of the coarsest level, and of the others, that search all of the source
 AGREEMENT = 2.0  # weight of agreement with neighbours, in median distances, at coherence 1
-PRICE = 0.5  # weight of the price of overused parts, in median distances
-PARTS = 64  # of the source, whose use is counted
+PRICE = 3.0  # weight of the price of overused parts, in median distances
+PARTS = 128  # of the source, whose use is counted
 INSERTED = 0.08  # new pieces that are tried for each vertex at coherence 1
 EXPANSIONS = (1, 2)  # rounds before new pieces are tried, and after
 RELAXATIONS = 8  # rounds that even out the anchors inside pieces
 FORBIDDEN = 1e3  # cost of what a source cannot give
-MISFIT = 0.05  # cost, beside seams, of a difference of curvature of 1
+MISFIT = 0.05  # cost, beside seams, of a difference of curvature of 1, and of a price of 1
 MOST_BENT = 4.0  # squared difference of curvatures that counts
 CLOSE = 0.7  # edges between two predictions that are averaged
 
@@ -188,7 +188,8 @@ def synthesize(
     if coherence:
 
         def misfit(there: Anchors, rows: Int[Any, "n"]) -> Float32[Any, "n"]:
-            return MISFIT * guide * _bending(level, there, rows)
+            prices = level.usage.prices(anchors, level.target.frames.masses)
+            return MISFIT * (guide * _bending(level, there, rows) + prices[there.vertices])
 
         work = Patchwork(level.source, level.target, anchors, level.step, free, misfit)
         for _ in range(EXPANSIONS[0]):
