@@ -111,7 +111,8 @@ def patch_generator(
     # How much larger than in the input details are in the units of the files, which may not be the same.
     size = np.sqrt(face_areas(*surface).sum() / face_areas(mesh.vertices, mesh.faces).sum())
     scale = float(size * np.sqrt(patches.vertices / count))
-    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged)
+    same = target.digest == asset.digest
+    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same)
     return PatchGenerator(asset, target, mesh, synthesis, patches, held)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 from scipy.sparse import csr_array, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 
@@ -200,8 +200,8 @@ def _cost(a, b):
 def _cut(
     p: Int[Any, "E"],
     q: Int[Any, "E"],
-    costs: list[Float32[Any, "E"]],
-    worse: Float32[Any, "N"],
+    costs: list[Float[Any, "E"]],
+    worse: Float[Any, "N"],
     old_only: Bool[Any, "N"],
     new_only: Bool[Any, "N"],
 ) -> Bool[Any, "N"]:

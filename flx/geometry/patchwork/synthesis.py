@@ -56,7 +56,8 @@ INSERTED = 0.08  # new pieces that are tried for each vertex at coherence 1
 EXPANSIONS = (1, 2)  # rounds before new pieces are tried, and after
 RELAXATIONS = 8  # rounds that even out the anchors inside pieces
 FORBIDDEN = 1e3  # cost of what a source cannot give
-MISFIT = 0.05  # cost, beside seams, of a difference of curvature of 1, and of a price of 1
+MISFIT = 0.05  # cost, beside seams, of a difference of curvature of 1, or of a price of 1
+STAYING, NEAR = 4.0, 2.0  # cost of a place that does not move, as for MISFIT; it moves by so many edges
 MOST_BENT = 4.0  # squared difference of curvatures that counts
 CLOSE = 0.7  # edges between two predictions that are averaged
 
@@ -71,6 +72,7 @@ class Level(NamedTuple):
     usage: Usage
     step: float  # as in `predicted`
     bends: tuple[Float32[Any, "M"], Float32[Any, "V"]]  # of source and target (`curvature`)
+    same: bool  # whether both are of one surface, so that a place could stay as it was
 
 
 class Synthesis(NamedTuple):
@@ -96,6 +98,7 @@ def prepare(
     shape: Triangulation | None = None,
     free: Bool[Any, "V"] | None = None,
     damaged: TexturedMesh | None = None,
+    same: bool = True,
 ) -> Synthesis:
     """Levels of a textured mesh, for textures on a triangulation of it, or of another mesh.
 
@@ -107,6 +110,7 @@ def prepare(
         shape: The surface that the triangulation is one of, if it is not `mesh`.
         free: Its vertices that may change; the others come from their own place. All, unless given.
         damaged: The mesh with white texels where nothing may be taken from.
+        same: Whether the triangulation is one of `mesh`.
 
     Levels too coarse for the surface's parts and holes are left out.
     """
@@ -138,6 +142,7 @@ def prepare(
                 Usage(copy, regions),
                 step,
                 (curvature(copy), curvature(target)),
+                same,
             )
         )
     target = levels[-1].target
@@ -189,7 +194,8 @@ def synthesize(
 
         def misfit(there: Anchors, rows: Int[Any, "n"]) -> Float32[Any, "n"]:
             prices = level.usage.prices(anchors, level.target.frames.masses)
-            return MISFIT * (guide * _bending(level, there, rows) + prices[there.vertices])
+            extra = guide * _bending(level, there, rows) + _staying(level, there, rows)
+            return MISFIT * (extra + prices[there.vertices])
 
         work = Patchwork(level.source, level.target, anchors, level.step, free, misfit)
         for _ in range(EXPANSIONS[0]):
@@ -232,8 +238,8 @@ def _improve(
     apart = distances(source, charts, candidates, weights)
     unit = np.median(apart[:, 0]) + np.float32(1e-6)
     costs = apart + unit * (AGREEMENT * coherence * (1 - agreed) + prices[candidates.vertices])
-    if guide:
-        costs += guide * unit * _bending(level, candidates, rows[:, None])
+    costs += unit * guide * _bending(level, candidates, rows[:, None])
+    costs += unit * _staying(level, candidates, rows[:, None])
     costs[~source.can_give(candidates)] += FORBIDDEN
     costs[~counted] = np.inf
     anchors.put(rows, candidates.at((np.arange(len(rows)), costs.argmin(1))))
@@ -243,6 +249,15 @@ def _bending(level: Level, anchors: Anchors, rows: Int[Any, "..."]) -> Float32[A
     """How differently bent places of the source are that anchors of some rows lead to."""
     difference = level.bends[0][anchors.vertices] - level.bends[1][rows]
     return np.minimum(difference**2, MOST_BENT)
+
+
+def _staying(level: Level, anchors: Anchors, rows: Int[Any, "..."]) -> Float32[Any, "..."]:
+    """The cost of anchors that lead to the place that their row is at."""
+    if not level.same:
+        return np.zeros(anchors.vertices.shape, np.float32)
+    away = placed(level.source.surface, anchors)[0] - level.target.positions[rows]
+    near = np.square(away).sum(-1) < (NEAR * EDGE * level.target.radius) ** 2
+    return np.float32(STAYING) * near
 
 
 def _spread(charts: Charts) -> np.float32:
@@ -308,6 +323,6 @@ def pieces(synthesis: Synthesis, anchors: Anchors) -> Pieces:
     masses = level.target.frames.masses / level.target.frames.masses.sum()
     sizes = np.bincount(of, masses)
     positions, directions = placed(level.source.surface, anchors)
-    near = np.linalg.norm(positions - level.target.positions, axis=1) < 2 * EDGE * level.target.radius
+    near = np.linalg.norm(positions - level.target.positions, axis=1) < NEAR * EDGE * level.target.radius
     same = near & ((directions * level.target.x_axes).sum(1) > 0.9)
     return Pieces(len(sizes), float(sizes.max()), float((sizes**2).sum()), float(masses[same].sum()))

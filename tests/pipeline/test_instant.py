@@ -1,0 +1,226 @@
+"""Laws of textures without training: original texels, all maps in register, kept texels to the bit."""
+
+import json
+
+import numpy as np
+import pytest
+from helpers.surfaces import icosphere, square_grid
+from helpers.textured import noise
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+import flx
+from flx.assets.arrays import from_arrays
+from flx.assets.asset import Asset, Texture
+from flx.commands.sample import Sample, sample
+from flx.config import Controls, Patches
+from flx.geometry.patchwork.anchors import Anchors
+from flx.geometry.patchwork.synthesis import own_places
+from flx.pipeline.instant import (
+    PatchGenerator,
+    color_shifts,
+    open_canvases,
+    painted,
+    patch_generator,
+    patchworks,
+    tangent_axes,
+)
+from flx.types import Layer
+
+SMALL = Patches(vertices=300)
+
+
+def sheet(color: np.ndarray | None = None, normal: np.ndarray | None = None) -> Asset:
+    """The unit square with its own picture, right up to the edge, and a normal map if there is one."""
+    grid = square_grid(9)
+    uvs = grid.vertices[grid.faces][..., :2] * [1, -1] + [0, 1]  # v runs down
+    picture = gaussian_filter(noise(64, 64), (2, 2, 0)) if color is None else color
+    asset = from_arrays(*grid, uvs, picture)
+    if normal is None:
+        return asset
+    layer = Layer((normal,), np.zeros(len(grid.faces), np.int64), asset.mesh.corner_uvs)
+    sources = {**asset.sources, "normal": (Texture("bumps", None, False),)}
+    mesh = asset.mesh._replace(maps={**asset.mesh.maps, "normal": layer})
+    return asset._replace(mesh=mesh, sources=sources)
+
+
+def ball() -> Asset:
+    """A sphere seen from above and from below, two charts on one texture."""
+    mesh = icosphere(3)
+    corners = mesh.vertices[mesh.faces]
+    below = corners.mean(1)[:, 2] < 0
+    uvs = corners[..., :2] * [0.22, 0.44] + [0.25, 0.5] + below[:, None, None] * [0.5, 0.0]
+    return from_arrays(*mesh, uvs, gaussian_filter(noise(128, 256), (3, 3, 0)))
+
+
+BALL = ball()
+WHOLE = patch_generator(BALL, SMALL)
+
+
+def result(generator: PatchGenerator, anchors: Anchors, size: int | None = None):
+    return painted(generator, open_canvases(generator, size), anchors)
+
+
+def test_own_places_give_the_input_back():
+    """To the blur of one more bilinear look-up: nothing is lost to a codec."""
+    new = result(WHOLE, own_places(WHOLE.synthesis.levels[-1]))
+    other = result(WHOLE, WHOLE.sample(0))
+    assert flx.fidelity(BALL, new)["psnr"] > max(40, flx.fidelity(BALL, other)["psnr"] + 10)
+
+
+def test_new_textures_have_the_colours_of_the_input_and_differ():
+    one, other = patchworks(WHOLE, count=2)
+    again = next(patchworks(WHOLE, count=1))
+    assert np.array_equal(one.images[0], again.images[0]), "the same seed, the same bits"
+    assert np.abs(one.images[0].astype(int) - other.images[0]).mean() > 5
+    for image in (one.images[0], other.images[0]):
+        for percent in (5, 50, 95):
+            levels = [np.percentile(i, percent, (0, 1)) for i in (image, BALL.mesh.textures[0])]
+            assert np.abs(levels[0] - levels[1]).max() < 25
+
+
+def test_shifts_of_colour_close_steps_of_brightness_and_leave_one_piece_alone():
+    assert np.abs(color_shifts(WHOLE.synthesis, own_places(WHOLE.synthesis.levels[-1]))).max() < 0.01
+    rows = np.arange(64)[:, None, None]
+    dark = np.full((64, 64, 3), 100, np.uint8)
+    bright = np.uint8(dark + 15 * (rows >= 32))
+    generator = patch_generator(sheet(bright), Patches(vertices=300, coherence=0.0))
+    level = generator.synthesis.levels[-1]
+    own = own_places(level)
+    swapped = own.at(np.arange(300))
+    upper = level.target.positions[:, 1] > 0.5
+    top, bottom = np.flatnonzero(upper), np.flatnonzero(~upper)
+    swapped.put(top[::2], own.at(bottom[: len(top[::2])]))
+    shifts = color_shifts(generator.synthesis, swapped)
+    assert 0.2 * 15 / 255 < np.abs(shifts).max() < 1.2 * 15 / 255
+
+
+@settings(max_examples=3)
+@given(turn=st.floats(0, 6.28), lean=st.floats(0, 6.28))
+def test_normals_lean_as_the_piece_is_turned(turn, lean):
+    """On a flat sheet whose normal map leans everywhere alike."""
+    x, y = 0.6 * np.cos(lean), 0.6 * np.sin(lean)
+    normal = np.array([x, y, 0.8]) / 2 + 0.5
+    asset = sheet(normal=np.rint(np.broadcast_to(normal, (16, 16, 3)) * 255).astype(np.uint8))
+    generator = patch_generator(asset, SMALL)
+    own = own_places(generator.synthesis.levels[-1])
+    unit = np.complex64(np.exp(1j * turn))
+    middle = np.full(300, np.linalg.norm(generator.triangulation.vertices - [0.5, 0.5, 0], axis=1).argmin())
+    of = own.at(middle)
+    # Every vertex comes from the middle, its x axis turned; so do the axes of its own frame.
+    target = generator.synthesis.levels[-1].target
+    frame = target.x_axes[:, 0] + 1j * target.x_axes[:, 1]
+    anchors = Anchors(of.vertices, of.offsets, (of.turns * unit * frame / frame[middle]).astype(np.complex64))
+    new = result(generator, anchors).maps["normal"][0] / 255 * 2 - 1
+    expected = complex(x, y) * np.conj(unit)
+    assert np.abs(new[4:-4, 4:-4, 0] - expected.real).max() < 0.05
+    assert np.abs(new[4:-4, 4:-4, 1] - expected.imag).max() < 0.05
+    assert np.abs(new[4:-4, 4:-4, 2] - 0.8).max() < 0.05
+
+
+def test_tangent_axes_are_right_and_up_on_the_texture_even_where_it_is_mirrored():
+    asset = sheet(normal=np.full((4, 4, 3), 128, np.uint8))
+    right, up = tangent_axes(asset.mesh)
+    assert np.allclose(right, [1, 0, 0], atol=1e-6) and np.allclose(up, [0, 1, 0], atol=1e-6)
+    uvs = asset.mesh.maps["normal"].corner_uvs * [-1, 1]
+    right, up = tangent_axes(asset.mesh.with_layer("normal", corner_uvs=uvs))
+    assert np.allclose(right, [-1, 0, 0], atol=1e-6) and np.allclose(up, [0, 1, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("option", ["keep", "fill"])
+def test_kept_texels_are_the_same_bits_and_the_rest_is_new(tmp_path, option):
+    image = BALL.mesh.textures[0]
+    left = np.zeros(image.shape[:2], bool)
+    left[:, :128] = True  # the upper half of the ball
+    Image.fromarray(np.uint8(255) * (left if option == "keep" else ~left)).save(tmp_path / "mask.png")
+    generator = patch_generator(BALL, SMALL, controls=Controls(**{option: tmp_path / "mask.png"}))
+    new = next(patchworks(generator, count=1)).images[0]
+    assert np.array_equal(new[left], image[left])
+    assert np.abs(new[~left].astype(int) - image[~left]).mean() > 5
+    if option == "fill":  # pieces come from what is kept alone
+        places = generator.synthesis.levels[-1].source.surface.positions[generator.sample([0, 0]).vertices]
+        assert places[:, 2].min() > -0.15, "the lowest corner of a face that is kept"
+
+
+def test_all_kept_is_the_input_and_nothing_kept_is_no_mask(tmp_path):
+    for value, name in ((255, "all.png"), (0, "none.png")):
+        Image.new("L", (256, 128), value).save(tmp_path / name)
+    kept = patch_generator(BALL, SMALL, controls=Controls(keep=tmp_path / "all.png"))
+    assert np.array_equal(next(patchworks(kept)).images[0], BALL.mesh.textures[0])
+    free = patch_generator(BALL, SMALL, controls=Controls(keep=tmp_path / "none.png"))
+    assert np.array_equal(next(patchworks(free)).images[0], next(patchworks(WHOLE)).images[0])
+
+
+def test_another_mesh_in_other_units_keeps_the_size_of_details():
+    grid = square_grid(9)
+    uvs = grid.vertices[grid.faces][..., :2]
+    other = from_arrays(1000 * grid.vertices, grid.faces, uvs, np.zeros((48, 48, 3), np.uint8))
+    for scale, count in ((1.0, 300), (0.5, 1200)):
+        generator = patch_generator(BALL, SMALL, target=other, controls=Controls(scale=scale))
+        level = generator.synthesis.levels[-1]
+        assert len(level.target) == count and len(level.source.surface) == pytest.approx(1200, abs=2)
+        assert level.step == pytest.approx(2, rel=0.02), "a detail has as many edges as in the source"
+        new = next(patchworks(generator))
+        assert np.abs(new.images[0].mean((0, 1)) - BALL.mesh.textures[0].mean((0, 1))).max() < 30
+
+
+def test_colours_at_vertices_are_patched_as_well():
+    mesh = icosphere(3)
+    colors = gaussian_filter(np.random.default_rng(0).random((len(mesh.vertices), 3)), (0, 0))
+    asset = from_arrays(*mesh, colors=colors)
+    new = next(patchworks(patch_generator(asset, SMALL)))
+    assert not new.images and new.colors.shape == (len(mesh.vertices), 3)
+    assert new.colors.std() > 0.05 and abs(new.colors.mean() - 0.5) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("controls", "message"),
+    [
+        (Controls(strength=0.5), "strength is 0.5, but nothing is learnt here; train a run, or leave it out"),
+        (Controls(guidance=2.0), "guidance is 2.0, but nothing is learnt here; train a run, or leave it out"),
+    ],
+)
+def test_what_needs_training_is_refused(controls, message):
+    with pytest.raises(ValueError) as refusal:
+        patch_generator(BALL, SMALL, controls=controls)
+    assert str(refusal.value) == message
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"vertices": 99}, "vertices is 99; give at least 100"),
+        ({"coherence": -1.0}, "coherence is -1.0; give at least 0"),
+        ({"guide": float("nan")}, "guide is nan; give a number of at least 0"),
+    ],
+)
+def test_numbers_outside_their_range_are_refused(wrong, message):
+    with pytest.raises(ValueError) as refusal:
+        Patches(**wrong)
+    assert str(refusal.value) == message
+
+
+def test_the_command_writes_all_and_says_how_large_the_pieces_are(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    flx.save(BALL, next(patchworks(WHOLE)), "ball.glb")
+    options = {"instant": True, "patches": SMALL, "texture_size": 64}
+    out = sample(Sample(run=tmp_path / "ball.glb", count=2, **options))
+    assert out.name == "ball-instant-texture-size-64-vertices-300"
+    record = json.loads((out / "samples.json").read_bytes())
+    assert record["files"] == ["variation_00.glb", "variation_01.glb"] and record["method"] == "instant"
+    assert [set(of) for of in record["pieces"]] == [{"count", "largest", "mean", "copied"}] * 2
+    assert {"variation_00.png", "contact_sheet.png", "viewer.html"} <= {file.name for file in out.iterdir()}
+    assert flx.load(out / "variation_01.glb").mesh.textures[0].shape == (32, 64, 3)
+
+
+def test_a_mesh_without_instant_and_patches_without_a_mesh_are_refused(tmp_path, generator):
+    with pytest.raises(ValueError) as refusal:
+        sample(Sample(run=tmp_path / "bowl.glb"))
+    where = tmp_path / "bowl.glb"
+    remedy = f"add --instant to make textures without training, or train first: flx train {where}"
+    assert str(refusal.value) == f"{where} is a mesh; {remedy}"
+    with pytest.raises(ValueError) as refusal:
+        sample(Sample(run=tmp_path, patches=Patches(coherence=2.0)))
+    assert str(refusal.value) == "coherence is 2.0, which goes with --instant; add that"
