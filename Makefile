@@ -15,7 +15,8 @@ $(VENV)/.installed: pyproject.toml
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
 	@touch $@
 
-demo: setup  # learn the embedded vase (or MESH=your.glb) and make four variations of it
+demo: setup  # four variations of the embedded vase (or MESH=your.glb) at once, then four by a model that learns it
+	$(VENV)/bin/flx sample $(if $(MESH),'$(MESH)') --instant --count 4
 	$(VENV)/bin/flx train experiments/demo.py --name '$(NAME)' $(if $(MESH),--surface.path '$(MESH)')
 	$(VENV)/bin/flx sample 'runs/$(NAME)' --count 4
 

@@ -25,8 +25,9 @@ class Sample:
              flx sample bowl.glb --instant      without training, from pieces of its own texture
     """
 
-    # a run folder of `flx train`, or a generator.safetensors; with --instant, also a mesh file
-    run: Positional[Path]
+    # a run folder of `flx train`, or a generator.safetensors; with --instant, also a mesh file, or
+    # nothing for the vase that flx makes itself
+    run: Positional[Path | None] = None
     instant: bool = False  # pieces of the input's own texture: no training, all maps of the material
     count: int = 4  # number of variations
     seed: int = 0  # variation n depends on the seed and n alone
@@ -107,7 +108,7 @@ def sample(options: Sample) -> Path:
     check_output(plan.file, options.format, files, [out / name for name in pictures])
 
     record = {
-        "run": str(options.run),
+        "run": str(options.run or "the vase of flx"),
         **made_by,
         "vertices": plan.vertices,
         "seam_ratio_input": seam_ratio((asset if plan.file is own else own).mesh),
@@ -151,7 +152,12 @@ def sample(options: Sample) -> Path:
     write_png(out / sheet, side_by_side(asset, variations, shown_titles, plan.up, own=own))
     if options.viewer:
         title = f"{asset.path.name}: {len(titles)} variation{'s' * (len(titles) > 1)}"
-        said = {"seed": options.seed, "run": options.run, "vertices": plan.vertices, **made_by}
+        said = {
+            "seed": options.seed,
+            "run": options.run or "the vase of flx",
+            "vertices": plan.vertices,
+            **made_by,
+        }
         write_viewer(out, title, shots, said, plan.up)
     return out
 
@@ -171,6 +177,10 @@ def learnt_plan(options: Sample) -> Plan:
     if options.patches != Patches():
         odd = next(f.name for f in fields(Patches) if getattr(options.patches, f.name) != f.default)
         raise ValueError(f"{odd} is {getattr(options.patches, odd)}, which goes with --instant; add that")
+    if options.run is None:
+        raise ValueError(
+            "there is no RUN; name a run folder of `flx train`, or add --instant for the vase of flx"
+        )
     if options.run.suffix.lower() in READERS:
         raise ValueError(
             f"{options.run} is a mesh; add --instant to make textures without training, or train first: "
@@ -213,6 +223,7 @@ def instant_plan(options: Sample) -> Plan:
     from flx.assets.read import read_with_maps
     from flx.assets.shape import read_shape
     from flx.assets.unwrap import prepared_for
+    from flx.assets.vase import vase_asset
     from flx.pipeline.inpainting import kept_texels
     from flx.pipeline.instant import check_instant, open_canvases, painted, patch_generator
     from flx.pipeline.transfer import scaled_count
@@ -220,7 +231,9 @@ def instant_plan(options: Sample) -> Plan:
 
     check_instant(options.controls)
     up: Literal["y", "z"] = "y"
-    if options.run.suffix.lower() in READERS:
+    if options.run is None:
+        own, usual = vase_asset(), Path("runs", "vase-instant")
+    elif options.run.suffix.lower() in READERS:
         own, usual = read_with_maps(options.run, options.format), Path("runs", f"{options.run.stem}-instant")
     else:
         generator = load_generator(options.run)
