@@ -54,10 +54,11 @@ def sample(options: Sample) -> Path:
     from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
     from flx.pipeline.codec import digest_of
+    from flx.pipeline.direction import file_of
     from flx.pipeline.generator import sampler_named
     from flx.pipeline.inpainting import REPEATS, kept_texels
     from flx.pipeline.transfer import vertex_count
-    from flx.pipeline.variations import check_labels, generate
+    from flx.pipeline.variations import check_direction, check_labels, generate
     from flx.stopping import keeping
     from flx.training.load import load_generator
 
@@ -71,9 +72,12 @@ def sample(options: Sample) -> Path:
     other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
     asset = prepared_for(other or generator.asset, options.format)
     check_labels(generator, options.controls, asset)
+    check_direction(generator, options.controls, asset)
     up = options.up or generator.experiment.surface.up
     if options.variants:
         check_variants(asset, options.format)
+    read = {name: getattr(options.controls, name) for name in ("keep", "fill", "labels")}
+    read["direction"] = file_of(options.controls.direction or "x")
     made_by = {
         **settings(options),
         "steps": len(chosen.table["t"]),
@@ -81,8 +85,8 @@ def sample(options: Sample) -> Path:
         "generator": digest_of(generator.params)[:12],
         **{
             f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-            for name in ("keep", "fill", "labels")
-            if (path := getattr(options.controls, name))
+            for name, path in read.items()
+            if path
         },
     }
     home = options.run if options.run.is_dir() else options.run.parent

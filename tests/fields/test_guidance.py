@@ -13,7 +13,7 @@ RHO = jnp.eye(3)[jnp.arange(20) % 3]
 BARE = tangent_noise(jax.random.key(0), (20, 8))
 
 
-def noise(rho):
+def noise(rho, direction=None):
     return BARE + jnp.sin(rho @ jnp.arange(24.0).reshape(3, 8))
 
 

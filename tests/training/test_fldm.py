@@ -24,7 +24,7 @@ class Knowing(Denoiser):
     says_nothing: bool = False
 
     @nn.compact
-    def __call__(self, tables, z, t, rho=None):
+    def __call__(self, tables, z, t, rho=None, direction=None):
         alpha = jnp.asarray(schedule(FLDM()), jnp.float32)[t.astype(int)]
         noise = (z - jnp.sqrt(alpha) * DATA) / jnp.sqrt(1 - alpha)
         velocity = jnp.sqrt(alpha) * noise - jnp.sqrt(1 - alpha) * DATA
@@ -64,7 +64,7 @@ class Told(Denoiser):
     """Says what its condition is, everywhere."""
 
     @nn.compact
-    def __call__(self, tables, z, t, rho=None):
+    def __call__(self, tables, z, t, rho=None, direction=None):
         assert rho is not None
         return jnp.broadcast_to(rho.sum(0) / len(rho), (len(rho), 8)).astype(jnp.complex64)
 
