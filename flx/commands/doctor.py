@@ -58,7 +58,7 @@ class Doctor:
             labels = plan.surface.labels and read_labels(Path(plan.surface.labels), asset)
             directed = plan.surface.direction and read_direction(plan.surface.direction, asset)
             count = len(labels.palette) if labels else 0
-            complete(plan.model, codec, plan.surface.vertices, count, bool(directed))
+            complete(plan.model, codec, plan.surface.vertices, count, int(bool(directed)))
             with faults_of(asset.path):
                 check_repeats(asset.mesh)
         except (ValueError, OSError) as refusal:

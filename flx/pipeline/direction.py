@@ -13,7 +13,7 @@ from flx.assets.asset import Asset
 from flx.assets.formats.files import read_file
 from flx.geometry.direction import WORDS, Direction, Stroke, check_direction
 
-MOST_POINTS = 10_000  # of all strokes of a file
+MOST_POINTS, MOST_BYTES = 10_000, 1 << 22  # of a file of strokes
 FORMAT = '{"strokes": [{"points": [[x, y, z], …]}, …]}'
 
 
@@ -49,6 +49,8 @@ def read_direction(said: str, asset: Asset) -> Direction:
 
 def _strokes(content: bytes) -> tuple[Stroke, ...]:
     """The strokes of a file. Raises ValueError for what is none, with its place and the remedy."""
+    if len(content) > MOST_BYTES:
+        raise ValueError(f"it has {len(content):,} bytes; give at most {MOST_BYTES:,}")
     try:
         record = json.loads(content)
     except (ValueError, RecursionError):
@@ -79,7 +81,7 @@ def _stroke(value: Any, name: str) -> Stroke:
             raise ValueError(f"{name}.direction is zero; give a vector that points somewhere")
         direction = direction / np.abs(direction).max()
     if len(points) < (2 if direction is None else 1):
-        raise ValueError(f"{name} has {len(points)} points; give two or more, or one and a direction")
+        raise ValueError(f"{name} has too few points, {len(points)}; give two, or one and a direction")
     placed = np.array(points)
     if len(points) > 1 and not (placed != placed[0]).any():
         raise ValueError(f"{name} has no length; give points that differ")

@@ -1,39 +1,45 @@
 """Do stripes follow the direction? A striped vase, and the orientations of the stripes of what a run paints.
 
 python tests/reports/stripes.py make stripes.glb
-python tests/reports/stripes.py measure runs/stripes_direction [--picture FILE.jpg]
+python tests/reports/stripes.py measure runs/stripes_direction [--count N] [--picture FILE.jpg]
 
-The stripes run around the vase: at right angles to the direction y. The second command makes variations by
-the run's own direction, turned, and without, and prints how stripes lie to the direction that was asked for,
-as measured by the structure tensor of their luminance on the surface.
+The stripes run around the vase: at right angles to the direction y. The first command also writes
+stripes.json: a stroke that runs up the front, and one around the back. The second makes variations by the
+run's own direction, turned, by the strokes, and without. It prints how far stripes are from the right angle
+to the direction that was asked for, as measured by the structure tensor of their luminance on the surface.
 """
 
 import argparse
+import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image
 
 import flx
 from flx.assets.asset import own_painting
 from flx.geometry.arrays import area_normals, cross, face_areas, sum_at
 from flx.geometry.atlas import atlas_texels, paint
-from flx.geometry.direction import as_vectors, carried
+from flx.geometry.direction import as_vectors, carried, field_on
 from flx.geometry.remesh.remesh import remesh
-from flx.geometry.sampling import face_normals, positions, surface_colors, transfer
+from flx.geometry.sampling import closest_points, face_normals, positions, surface_colors, transfer
 from flx.geometry.tangent import tangent_frames
-from flx.pipeline.canvas import shown
+from flx.pipeline.canvas import shown, side_by_side
+from flx.pipeline.direction import read_direction
 from flx.types import SurfacePoints, TexturedMesh
 
 WAVELENGTH = 0.17  # of the stripes, where the vase is about 1 high
 SMOOTHED = 0.06  # half-width over which gradients are averaged
-WAYS = (  # name, rotate, guidance
-    ("own direction", 0.0, 1.0),
-    ("--rotate 90", 90.0, 1.0),
-    ("--rotate 90 --guidance 2", 90.0, 2.0),
-    ("--rotate 45 --guidance 2", 45.0, 2.0),
-    ("--guidance 0", 0.0, 0.0),
-)
+STROKES = Path("stripes.json")
+WAYS: dict[str, dict[str, Any]] = {
+    "own direction": {},
+    "--rotate 90": {"rotate": 90.0},
+    "--rotate 90 --guidance 2": {"rotate": 90.0, "guidance": 2.0},
+    "--rotate 45 --guidance 2": {"rotate": 45.0, "guidance": 2.0},
+    "--direction stripes.json --guidance 2": {"direction": str(STROKES), "guidance": 2.0},
+    "--guidance 0": {"guidance": 0.0},
+}
 
 
 def make(path: Path) -> None:
@@ -50,6 +56,11 @@ def make(path: Path) -> None:
     image = paint(atlas, color.astype(np.float32))
     striped = flx.from_arrays(mesh.vertices, mesh.faces, mesh.corner_uvs, image, name="stripes")
     flx.save(striped, own_painting(striped), path)
+    height, turn = np.linspace(0.2, 0.7, 30), np.linspace(-0.8, 0.8, 30)
+    front = np.stack([0 * height, height, 0.4 + 0 * height], 1)
+    back = np.stack([0.4 * np.sin(turn), 0.45 + 0 * turn, -0.4 * np.cos(turn)], 1)
+    drawn = [positions(*mesh[:2], closest_points(places, *mesh[:2])).tolist() for places in (front, back)]
+    STROKES.write_text(json.dumps({"strokes": [{"points": points} for points in drawn]}))
 
 
 class Lines(NamedTuple):
@@ -102,23 +113,24 @@ def measure(run: Path, picture: Path | None, count: int) -> None:
     generator = flx.load_generator(run)
     asset, home = generator.asset, generator.home.triangulation
     surface = remesh(asset.mesh.vertices, asset.mesh.faces, 8000, 99)
-    there = carried(generator.direction, home, surface)
+    own = carried(generator.direction, home, surface)
     bins = " | ".join(f"{low}–{low + 15}°" for low in range(0, 90, 15))
     print(f"| samples | mean | {bins} |\n{'|---' * 8}|")
 
-    def vectors(rotate: float) -> np.ndarray:
+    def vectors(rotate: float = 0.0, direction: str | None = None, **_: float) -> np.ndarray:
+        there = own if direction is None else field_on(read_direction(direction, asset), surface)
         return as_vectors(there * np.exp(1j * np.radians(rotate)), surface, tangent_frames(surface))
 
-    print(told("input", [lines(surface, asset.mesh, vectors(0))]))
+    print(told("input", [lines(surface, asset.mesh, vectors())]))
     paintings = []
-    for name, rotate, guidance in WAYS:
-        controls = flx.Controls(rotate=rotate if guidance else 0.0, guidance=guidance)
-        made = list(flx.generate(generator, count, texture_size=512, controls=controls))
-        print(told(name, [lines(surface, shown(asset, p), vectors(rotate)) for p in made]), flush=True)
+    for name, how in WAYS.items():
+        made = list(flx.generate(generator, count, texture_size=512, controls=flx.Controls(**how)))
+        print(told(name, [lines(surface, shown(asset, p), vectors(**how)) for p in made]), flush=True)
         paintings.append(made[0])
     if picture:
-        image = flx.show(asset, *paintings, size=300)
-        image.convert("RGB").save(picture, quality=80)
+        names = [name.replace(" --guidance 2", ", guidance 2").replace("--", "") for name in WAYS]
+        image = Image.fromarray(side_by_side(asset, paintings, names, "y", 240))
+        image.convert("RGB").save(picture, quality=85)
 
 
 if __name__ == "__main__":
