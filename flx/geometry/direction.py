@@ -55,14 +55,14 @@ def check_direction(direction: Direction, surface: Surface) -> None:
         if (1 - normals[:, AXES.index(direction)] ** 2 < STEEP**2)[length_of(normals) > 0].all():
             raise ValueError("all of the surface faces along that axis; choose another")
     else:
-        low, high = surface.vertices.min(0), surface.vertices.max(0)
-        diagonal = float(np.linalg.norm(high - low))
         for n, stroke in enumerate(direction):
-            _check_on(stroke, f"strokes[{n}]", surface, normals, low, high, diagonal)
+            _check_on(stroke, f"strokes[{n}]", surface, normals)
 
 
-def _check_on(stroke: Stroke, name: str, surface: Surface, normals: Places, low, high, diagonal: float):
+def _check_on(stroke: Stroke, name: str, surface: Surface, normals: Places) -> None:
     """Raises ValueError for a stroke that is not on the surface, or at right angles to it."""
+    low, high = surface.vertices.min(0), surface.vertices.max(0)
+    diagonal = float(np.linalg.norm(high - low))
     away = np.maximum(np.maximum(low - stroke.points, stroke.points - high), 0).max(1)
     if (away <= FAR * diagonal).all():  # else there may be no end of samples
         places, vectors = _along(stroke, diagonal / 200)
