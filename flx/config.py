@@ -24,7 +24,15 @@ Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "fram
 
 
 # What records of earlier versions lack, and meant.
-ADDED = {"draws": "uniform", "emphasis": 0.0, "label_dropout": 0.1, "labels": None}
+ADDED = {
+    "draws": "uniform",
+    "emphasis": 0.0,
+    "label_dropout": 0.1,
+    "labels": None,
+    "directions": 0,
+    "direction_dropout": 0.1,
+    "direction": "",
+}
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
 MOST_LAYERS, MOST_OTHER = 100, 1 << 20
@@ -108,6 +116,8 @@ class FLDM:
     embedding: int = 128  # width of the scalar embedding π
     conditions: int = 0  # m, real conditions ρ at each vertex: as many as labels
     label_dropout: float = 0.1  # probability that a draw sees no labels, for samples without them
+    directions: int = 0  # vector conditions at each vertex: 1 with a direction
+    direction_dropout: float = 0.1  # probability that a draw sees no direction
     blocks: Blocks | None = None
     predicts: Literal["noise", "velocity"] = "noise"  # the paper's; ours for short trainings
     # Steps t that training draws: the paper's; ours, most of them where shapes are decided.
@@ -120,9 +130,10 @@ class FLDM:
 
     def __post_init__(self) -> None:
         _check("model", self, channels=1, filter_width=1, vn_layers=1, embedding=4, conditions=0, steps=1)
-        _check("model", self, beta_start=0, beta_end=0, emphasis=0, label_dropout=0)
-        if self.label_dropout > 1:
-            raise ValueError(f"model.label_dropout is {self.label_dropout}; give a probability, 0 to 1")
+        _check("model", self, beta_start=0, beta_end=0, emphasis=0, label_dropout=0, direction_dropout=0)
+        for name in ("label_dropout", "direction_dropout"):
+            if getattr(self, name) > 1:
+                raise ValueError(f"model.{name} is {getattr(self, name)}; give a probability, 0 to 1")
         if self.embedding % 2:
             raise ValueError(f"model.embedding is {self.embedding}; make it even, for cosines and sines")
         if self.blocks is not None and not _are_blocks(self.blocks):
@@ -146,6 +157,7 @@ class Surface:
     path: str = ""  # a .glb, .gltf, .obj or .ply file; empty: the vase that flx makes itself
     texture: str | None = None  # an image to use instead of the file's own
     labels: str | None = None  # An image of flat colours on the same UVs, or a PLY, that says what is where.
+    direction: str = ""  # Which way the texture runs: x, y, z, curvature, or a JSON file of strokes.
     vertices: int = 30_000  # Vertices of each copy: more for finer detail, and more time.
     copies: int = 500  # Independent triangulations of the mesh.
     slots: int = 16  # most neighbours of a vertex, itself included
@@ -231,13 +243,20 @@ class Controls:
     mesh: Path | None = None  # another mesh file to paint; it needs no texture
     scale: float = 1.0  # size of details: 2 makes them twice as large, 0.5 half as large
     labels: Path | None = None  # what goes where: an image of the learnt labels, on the UVs of the mesh
-    guidance: float = 1.0  # weight of the labels: 0 ignores them, 1 follows them, more exaggerates
+    # which way the texture runs, for a run that learnt it: x, y, z, curvature, or a JSON file of strokes
+    direction: str | None = None
+    rotate: float = 0.0  # degrees by which the direction is turned, counter-clockwise seen from outside
+    # weight of labels and direction: 0 ignores them, 1 follows them, more exaggerates
+    guidance: float = 1.0
 
     def __post_init__(self) -> None:
         _check("controls", self, guidance=0)
         for name in ("keep", "fill", "mesh", "labels"):
             if (path := getattr(self, name)) is not None:
                 object.__setattr__(self, name, path_of(name, path, "the name of a file"))
+        if self.direction is not None:
+            given = path_of("direction", self.direction, "x, y, z, curvature, or a JSON file of strokes")
+            object.__setattr__(self, "direction", str(given))
         if self.keep and self.fill:
             raise ValueError(f"keep is {self.keep} and fill {self.fill}; give one, each says what both would")
         if not 0 < self.scale < float("inf"):

@@ -22,6 +22,7 @@ from flx.geometry.atlas import check_repeats, uv_areas
 from flx.geometry.copies import check_memory
 from flx.machine import memory, room
 from flx.models.denoiser.depth import complete
+from flx.pipeline.direction import read_direction
 from flx.pipeline.labels import read_labels
 from flx.pipeline.weights import RELEASED, read_weights
 from flx.training.costs import Costs, costs_of
@@ -55,7 +56,9 @@ class Doctor:
             check_memory(plan.surface.vertices, plan.surface.copies)
             asset = read_asset(self.mesh, self.texture)
             labels = plan.surface.labels and read_labels(Path(plan.surface.labels), asset)
-            complete(plan.model, codec, plan.surface.vertices, len(labels.palette) if labels else 0)
+            directed = plan.surface.direction and read_direction(plan.surface.direction, asset)
+            count = len(labels.palette) if labels else 0
+            complete(plan.model, codec, plan.surface.vertices, count, int(bool(directed)))
             with faults_of(asset.path):
                 check_repeats(asset.mesh)
         except (ValueError, OSError) as refusal:

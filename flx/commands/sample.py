@@ -79,6 +79,7 @@ def sample(options: Sample) -> Path:
     from flx.commands.viewer import write_viewer
     from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
+    from flx.pipeline.direction import file_of
     from flx.stopping import keeping
     from flx.viewer.page import NAME, shot
 
@@ -89,13 +90,15 @@ def sample(options: Sample) -> Path:
     own, asset, kept = plan.own, plan.asset, plan.kept
     if options.variants:
         check_variants(asset, options.format)
+    read = {name: getattr(options.controls, name) for name in ("keep", "fill", "labels")}
+    read["direction"] = file_of(options.controls.direction or "x")
     made_by = {
         **settings(options),
         **plan.made_by,
         **{
             f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-            for name in ("keep", "fill", "labels")
-            if (path := getattr(options.controls, name))
+            for name, path in read.items()
+            if path
         },
     }
     titles = [f"variation {n:02d}" for n in range(options.count)]
@@ -171,7 +174,7 @@ def learnt_plan(options: Sample) -> Plan:
     from flx.pipeline.generator import sampler_named
     from flx.pipeline.inpainting import REPEATS, kept_texels
     from flx.pipeline.transfer import vertex_count
-    from flx.pipeline.variations import check_labels, generate
+    from flx.pipeline.variations import check_direction, check_labels, generate
     from flx.training.load import load_generator
 
     if options.patches != Patches():
@@ -193,6 +196,7 @@ def learnt_plan(options: Sample) -> Plan:
     other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
     asset = prepared_for(other or generator.asset, options.format)
     check_labels(generator, options.controls, asset)
+    check_direction(generator, options.controls, asset)
 
     def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
         rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)

@@ -2,8 +2,8 @@
 
 The file is a safetensors with nothing executable in it: averaged weights and complete configuration of the
 network, latent scaling, the FL-VAE, the files of the asset that it learnt from, and one triangulated copy of
-it, with its labels if it has any. Using it needs neither the optimiser nor the run folder nor the other
-copies of the training.
+it, with its labels and its direction if it has any. Using it needs neither the optimiser nor the run folder
+nor the other copies of the training.
 """
 
 import json
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jax.tree_util import Partial
-from jaxtyping import Complex64, Float64, Int32
+from jaxtyping import Complex64, Complex128, Float64, Int32
 
 from flx import __version__
 from flx.arguments import number
@@ -78,6 +78,7 @@ class Generator:
     experiment: FLDMExperiment  # as it was trained
     step: int  # steps trained
     labels: Labels | None = None  # those that it learnt
+    direction: Complex128[np.ndarray, "V"] | None = None  # the one that it learnt, at home
 
     def sample(
         self,
@@ -91,6 +92,7 @@ class Generator:
         repeats: tuple[int, int] | None = None,
         labels: Int32[np.ndarray, "V"] | None = None,
         guidance: float = 1.0,
+        direction: Complex128[np.ndarray, "V"] | None = None,
     ) -> Complex64[np.ndarray, "V D"]:
         """New codes at the vertices of a copy: anything with `tables`, the generator's own unless given.
 
@@ -107,10 +109,12 @@ class Generator:
             repeats: Length and times of the stretches of steps that are repeated (`samplers.repeated`).
             labels: The label of each vertex, by its place in `self.labels.palette`. Unless given, the
                 generator's own on its own copy, and none on another.
-            guidance: Weight of the labels: 0 ignores them, 1 follows them, more exaggerates.
+            guidance: Weight of labels and direction: 0 ignores them, 1 follows them, more exaggerates.
+            direction: The direction of each vertex in its frame: a unit number, or 0. Unless given, the
+                generator's own on its own copy, and none on another.
 
         Raises ValueError for a sampler that is not known, for more steps than the schedule has, for a
-        strength outside (0, 1], and for labels or guidance where no labels were learnt.
+        strength outside (0, 1], and for labels, a direction or guidance where none were learnt.
         """
         if not 0 < strength <= 1:
             raise ValueError(f"strength is {strength}; give more than 0 and at most 1")
@@ -120,7 +124,10 @@ class Generator:
         start, signal = np.zeros((len(tables.fine.masses), self.codec.config.latents), np.complex64), 0.0
         if near is not None and strength < 1:
             start, signal = self.scaling.to_diffusion(near), self.alphas[int(chosen.table["t"][0])]
-        condition = self._condition(len(start), labels if copy else self._own(labels), guidance)
+        if copy is None:
+            labels = self.labels.numbers if labels is None and self.labels else labels
+            direction = self.direction if direction is None else direction
+        condition = self._condition(len(start), labels, guidance, direction)
         rules = (self.denoise, chosen.step, chosen.memory)
         bound = hook if hook is None or isinstance(hook, Partial) else Partial(hook)
         z = _draw(
@@ -129,24 +136,38 @@ class Generator:
         return self.scaling.to_latents(np.asarray(z))
 
     def _condition(
-        self, vertices: int, labels: Int32[np.ndarray, "V"] | None, guidance: float
+        self,
+        vertices: int,
+        labels: Int32[np.ndarray, "V"] | None,
+        guidance: float,
+        direction: Complex128[np.ndarray, "V"] | None,
     ) -> Condition | None:
-        """What the network sees of labels; None where it learnt none."""
-        if self.labels is None:
-            if labels is None and guidance == 1:
-                return None
+        """What the network sees of labels and direction; None where it learnt neither."""
+        if self.direction is None and direction is not None:
+            raise ValueError(
+                "a direction is given, but none was learnt; train with --surface.direction FIELD"
+            )
+        if self.labels is None and (labels is not None or (self.direction is None and guidance != 1)):
             what = "labels are given" if labels is not None else f"guidance is {guidance:g}"
             raise ValueError(f"{what}, but none were learnt; train with --surface.labels IMAGE")
-        count, guidance = len(self.labels.palette), number("guidance", guidance, 0)
-        if labels is not None and not _are_numbers(labels, vertices, count):
-            raise ValueError(f"labels do not fit; give {vertices} whole numbers from 0 to {count - 1}")
-        if labels is None or guidance == 0:
-            return Condition(jnp.zeros((vertices, count)))
-        rho = jnp.asarray(one_hot(labels, count))
-        return Condition(rho, None if guidance == 1 else jnp.float32(guidance))
-
-    def _own(self, labels: Int32[np.ndarray, "V"] | None) -> Int32[np.ndarray, "V"] | None:
-        return self.labels.numbers if labels is None and self.labels else labels
+        if self.labels is None and self.direction is None:
+            return None
+        guidance, rho, vectors = number("guidance", guidance, 0), None, None
+        if self.labels is not None:
+            count = len(self.labels.palette)
+            if labels is not None and not _are_numbers(labels, vertices, count):
+                raise ValueError(f"labels do not fit; give {vertices} whole numbers from 0 to {count - 1}")
+            ignored = labels is None or guidance == 0
+            rho = jnp.zeros((vertices, count)) if ignored else jnp.asarray(one_hot(labels, count))
+        if self.direction is not None:
+            if direction is not None and not _are_directions(direction, vertices):
+                raise ValueError(f"direction does not fit; give {vertices} unit complex numbers, or 0")
+            ignored = direction is None or guidance == 0
+            vectors = jnp.zeros(vertices) if ignored else jnp.asarray(direction)
+            vectors = vectors.astype(jnp.complex64)[:, None]
+        nothing = labels is None and direction is None
+        weight = None if nothing or guidance in (0, 1) else jnp.float32(guidance)
+        return Condition(rho, weight, vectors)
 
     @cached_property
     def labelled(self) -> LabelMap | None:
@@ -206,6 +227,14 @@ def _are_numbers(labels: Any, vertices: int, count: int) -> bool:
     return right and bool(((labels >= 0) & (labels < count)).all())
 
 
+def _are_directions(direction: Any, vertices: int) -> bool:
+    """Whether directions are one unit number for each vertex, or 0."""
+    direction = np.asarray(direction)
+    if direction.shape != (vertices,) or direction.dtype.kind not in "fc":
+        return False
+    return bool(((np.abs(np.abs(direction) - 1) < 1e-3) | (direction == 0)).all())
+
+
 # --- a learnt one
 
 
@@ -218,7 +247,7 @@ class LearntDenoiser(NamedTuple):
         self, params: Any, tables: MeshTables, z: jax.Array, t: jax.Array, condition: Condition | None = None
     ) -> jax.Array:
         noise = partial(denoise, self.network, params, tables, z, t)
-        return noise() if condition is None else guided(noise, condition)
+        return guided(noise, condition or Condition())
 
 
 def network_of(model: FLDM) -> UNet:
@@ -233,7 +262,10 @@ def parameter_shapes(model: FLDM, tables: MeshTables) -> Any:
     narrow = jax.tree.map(lambda a: a[:, :1] if a.ndim > 1 else a, tables)
     z = jax.ShapeDtypeStruct((len(tables.fine.masses), model.latents), jnp.complex64)
     rho = jax.ShapeDtypeStruct((z.shape[0], model.conditions), jnp.float32) if model.conditions else None
-    return jax.eval_shape(network_of(model).init, jax.random.key(0), narrow, z, jnp.float32(1), rho)
+    shape = (z.shape[0], model.directions)
+    direction = jax.ShapeDtypeStruct(shape, jnp.complex64) if model.directions else None
+    arguments = narrow, z, jnp.float32(1), rho, direction
+    return jax.eval_shape(network_of(model).init, jax.random.key(0), *arguments)
 
 
 def learnt_generator(
@@ -245,12 +277,14 @@ def learnt_generator(
     source: Source,
     step: int,
     labels: Labels | None = None,
+    direction: Complex128[np.ndarray, "V"] | None = None,
 ) -> Generator:
     """The generator that a trained network makes; `experiment.model` is complete."""
     model = experiment.model
     denoiser = LearntDenoiser(network_of(model))
     alphas = schedule(model)
-    return Generator(denoiser, params, alphas, scaling, codec, home, source, experiment, step, labels)
+    learnt = experiment, step, labels, direction
+    return Generator(denoiser, params, alphas, scaling, codec, home, source, *learnt)
 
 
 # --- as a file
@@ -262,7 +296,10 @@ def save_generator(path: Path, generator: Generator) -> None:
     # Names without folders: the file may be passed on.
     texture = source.texture and Path(source.texture).name
     labels = surface.labels and Path(surface.labels).name
-    named = replace(surface, path=Path(surface.path).name, texture=texture, labels=labels)
+    direction = Path(surface.direction).name
+    named = replace(
+        surface, path=Path(surface.path).name, texture=texture, labels=labels, direction=direction
+    )
     record = {
         "flx": __version__,
         "step": generator.step,
@@ -281,6 +318,8 @@ def save_generator(path: Path, generator: Generator) -> None:
     }
     if generator.labels:
         tensors |= {"labels/palette": generator.labels.palette, "labels/numbers": generator.labels.numbers}
+    if generator.direction is not None:
+        tensors |= {"direction": generator.direction.view(np.float64)}
     save_tensors(path, tensors, "generator", json.dumps(record))
 
 
@@ -321,6 +360,7 @@ def _parse(record: dict[str, Any], tensors: dict[str, np.ndarray]) -> Generator:
         Source(**source, files=files),
         record["step"],
         _labels(tensors, len(home.vertices), experiment.model.conditions),
+        _direction(tensors, len(home.vertices)) if experiment.model.directions else None,
     )
 
 
@@ -333,6 +373,14 @@ def _labels(tensors: dict[str, np.ndarray], vertices: int, count: int) -> Labels
     if shapes != ((count, 3), (vertices,)) or not 0 <= numbers.min() <= numbers.max() < count:
         raise ValueError(f"labels of {len(numbers)} vertices for {vertices}, {len(palette)} for {count}")
     return Labels(palette, numbers)
+
+
+def _direction(tensors: dict[str, np.ndarray], vertices: int) -> Complex128[np.ndarray, "V"]:
+    """Raises ValueError where it does not fit the mesh."""
+    direction = tensors["direction"].view(np.complex128)
+    if not _are_directions(direction, vertices):
+        raise ValueError(f"its direction is not one of {vertices} vertices")
+    return direction
 
 
 def _flat(prefix: str, params: Any) -> dict[str, np.ndarray]:

@@ -119,7 +119,7 @@ def patch_generator(
 def check_instant(controls: Controls) -> None:
     """Raises ValueError for controls that need a trained generator."""
     usual = Controls()
-    for name in ("strength", "labels", "guidance"):
+    for name in ("strength", "labels", "direction", "rotate", "guidance"):
         if (value := getattr(controls, name)) != getattr(usual, name):
             raise ValueError(f"{name} is {value}, but nothing is learnt here; train a run, or leave it out")
 

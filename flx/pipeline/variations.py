@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Complex64, Int32
+from jaxtyping import Complex64, Complex128, Int32
 from tqdm import tqdm
 
 from flx.arguments import check_kind, whole
@@ -16,9 +16,11 @@ from flx.config import STEPS, Controls, Sampler
 from flx.fields.samplers import Hook
 from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.copies import sample_rings
+from flx.geometry.direction import Direction, carried, field_on
 from flx.geometry.labels import LabelMap, labels_on
 from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, check_size, open_canvas
+from flx.pipeline.direction import read_direction
 from flx.pipeline.generator import Generator, Home
 from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, kept_texels, restored
 from flx.pipeline.labels import read_labels
@@ -34,6 +36,7 @@ class Controlled(NamedTuple):
     near: Complex64[np.ndarray, "V D"] | None  # codes to stay near
     kept: Inpainting | None  # what stays of the texture
     labels: Int32[np.ndarray, "V"] | None  # what goes where
+    direction: Complex128[np.ndarray, "V"] | None  # which way the texture runs
 
 
 def controlled(generator: Generator, controls: Controls, asset: Asset) -> Controlled:
@@ -48,22 +51,64 @@ def controlled(generator: Generator, controls: Controls, asset: Asset) -> Contro
     kept = kept_texels(generator.asset, controls)
     held = kept and inpainting(generator, kept, home.triangulation)
     labels = labels_for(generator, controls, asset, home.triangulation)
-    return Controlled(home, held and held.hook, near, held, labels)
+    direction = direction_for(generator, controls, asset, home.triangulation)
+    return Controlled(home, held and held.hook, near, held, labels, direction)
 
 
 def check_labels(generator: Generator, controls: Controls, asset: Asset) -> LabelMap | None:
     """The labels of the controls. Raises ValueError for such, or a weight, that a generator cannot follow."""
     said = f"labels {controls.labels}" if controls.labels else f"guidance {controls.guidance:g}"
-    if generator.labels is None and (controls.labels or controls.guidance != 1):
+    weighed = controls.guidance != 1 and generator.direction is None
+    if generator.labels is None and (controls.labels or weighed):
         raise ValueError(f"{said}: this run learnt no labels; train one with --surface.labels IMAGE")
     if controls.labels:
         assert generator.labels
         return read_labels(controls.labels, asset, generator.labels.palette)
-    if asset.digest != generator.asset.digest and controls.guidance not in (0, 1):
-        raise ValueError(
-            f"{said}: {asset.path} has no labels to follow; give an image on its UVs with --labels"
-        )
+    given = controls.direction is not None
+    if asset.digest != generator.asset.digest and controls.guidance not in (0, 1) and not given:
+        what = "labels to follow; give an image on its UVs with --labels"
+        if generator.labels is None:
+            what = "direction to follow; give one with --direction"
+        raise ValueError(f"{said}: {asset.path} has no {what}")
     return None
+
+
+def check_direction(generator: Generator, controls: Controls, asset: Asset) -> Direction | None:
+    """The direction of the controls. Raises ValueError for one that a generator cannot follow."""
+    given = controls.direction
+    said = f"rotate {controls.rotate:g}" if given is None else f"direction {given}"
+    if generator.direction is None and (given is not None or controls.rotate):
+        raise ValueError(f"{said}: this run learnt no direction; train one with --surface.direction FIELD")
+    if given is not None:
+        return read_direction(given, asset)
+    if asset.digest != generator.asset.digest and controls.rotate:
+        raise ValueError(f"{said}: {asset.path} has no direction to turn; give one with --direction")
+    return None
+
+
+def direction_for(
+    generator: Generator, controls: Controls, asset: Asset, triangulation: Triangulation
+) -> Complex128[np.ndarray, "V"] | None:
+    """The direction at the vertices of a triangulation of an asset: that of the controls, or the learnt one,
+    turned as they say.
+
+    None where there is none, as on another mesh, which stderr then says. Raises as `check_direction` does.
+    """
+    given = check_direction(generator, controls, asset)
+    if generator.direction is None or controls.guidance == 0:
+        return None
+    home = generator.home.triangulation
+    if given is not None:
+        found = field_on(given, triangulation)
+    elif asset.digest != generator.asset.digest:
+        note = "no direction is given for it, so details turn any way; --direction FIELD says which"
+        tqdm.write(f"{asset.path.name}: {note}", file=sys.stderr)
+        return None
+    elif triangulation is home:
+        found = generator.direction
+    else:
+        found = carried(generator.direction, home, triangulation)
+    return found * np.exp(1j * np.deg2rad(controls.rotate))
 
 
 def labels_for(
@@ -123,15 +168,15 @@ def generate(
     controls = controls or Controls()
     if asset is None:
         asset = read_shape(controls.mesh) if controls.mesh else generator.asset
-    home, hook, near, held, labels = controlled(generator, controls, asset)
+    home, hook, near, held, labels, direction = controlled(generator, controls, asset)
     if held:
         texture_size = texture_size or max(held.kept.texels.shape)
     canvas = open_canvas(asset, home.triangulation, texture_size)
     repeats = REPEATS if held else None
     for n in range(count):
         key = jax.random.fold_in(jax.random.key(seed), n)
-        rules = (steps, sampler, hook, near, controls.strength, repeats, labels, controls.guidance)
-        codes = generator.sample(key, home, *rules)
+        rules = (steps, sampler, hook, near, controls.strength, repeats)
+        codes = generator.sample(key, home, *rules, labels, controls.guidance, direction)
         painting = bake(canvas, generator.codec.decoder(codes))
         yield restored(held, canvas, painting) if held else painting
 

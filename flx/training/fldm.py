@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Complex64, Int32
+from jaxtyping import Complex64, Complex128, Int32
 
 from flx.assets.asset import Asset
 from flx.assets.formats.files import read_file
@@ -18,12 +18,14 @@ from flx.fields import diffusion
 from flx.fields.algebra import squared_modulus, tangent_noise
 from flx.fields.diffusion import Scaling, emphasized, latent_scaling
 from flx.fields.guidance import dropped
+from flx.geometry.direction import Direction, carried, field_on
 from flx.geometry.labels import LabelMap, labels_on
 from flx.geometry.tables import stack
 from flx.models.denoiser.depth import complete, reach
 from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.pipeline.codec import Codec, load_codec
 from flx.pipeline.copies import open_cache, prepare
+from flx.pipeline.direction import digest_of_direction, read_direction
 from flx.pipeline.generator import (
     Generator,
     Home,
@@ -37,17 +39,18 @@ from flx.stopping import keeping
 from flx.training.log import say
 from flx.training.loop import LossFn, kept, restore, train
 from flx.training.run import Run, open_run
-from flx.training.run_asset import keep, labels_in, read_copy, read_source, source_of
+from flx.training.run_asset import direction_in, keep, labels_in, read_copy, read_source, source_of
 from flx.types import MeshTables
 
 
 class MeshBatch(NamedTuple):
-    """Copies of one mesh, their scaled latents and the labels of their vertices."""
+    """Copies of one mesh, their scaled latents, and the labels and the direction of their vertices."""
 
     tables: MeshTables
     latents: Any  # Complex64 [B, V, D]
     times: Any  # Int32 [B], from 1 to T
     labels: Any = None  # Int32 [B, V]
+    direction: Any = None  # Complex64 [B, V]
 
 
 def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = None) -> Run:
@@ -60,39 +63,51 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     codec = load_codec(experiment.weights)
     asset = read_source(surface)
     labelled = read_labels(Path(surface.labels), asset) if surface.labels else None
-    count = len(labelled.palette) if labelled else 0
-    experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices, count))
+    drawn = read_direction(surface.direction, asset) if surface.direction else None
+    experiment = completed(experiment, codec, labelled, drawn)
     network = network_of(experiment.model)
     fingerprint = fingerprint_of(asset, codec, surface)
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
-    emphasis = experiment.model.emphasis
-    copies, scaling, home, labels = load_copies(run, asset, surface, codec, emphasis, labelled, workers)
+    rules = experiment.model.emphasis, labelled, drawn, workers
+    copies, scaling, home, labels, direction = load_copies(run, asset, surface, codec, *rules)
     keeping(lambda: kept(run))
     source = source_of(run, surface, asset)
     seen = reach(home.tables, network.blocks)
     say(f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices")
     if labels:
         say(f"{run.folder}: {surface.labels} has {in_words(labels, home.tables)}")
+    if direction is not None:
+        say(f"{run.folder}: direction {surface.direction}, at {(direction != 0).mean():.1%} of the vertices")
 
     def batches(step: int) -> MeshBatch:
         rng = np.random.default_rng([config.seed, step])
         chosen = rng.choice(surface.copies, config.batch, replace=config.batch > surface.copies)
-        tables, latents, numbers = jax.tree.map(lambda a: a[chosen], copies)
+        tables, latents, *seen = jax.tree.map(lambda a: a[chosen], copies)
         times = draw_times(experiment.model, config.seed, step * config.batch, config.batch)
-        return MeshBatch(tables, latents, times, numbers)
+        return MeshBatch(tables, latents, times, *seen)
 
     def save(step: int, params: Any) -> None:
-        generator = learnt_generator(experiment, params, scaling, codec, home, source, step, labels)
+        parts = scaling, codec, home, source, step, labels, direction
+        generator = learnt_generator(experiment, params, *parts)
         save_generator(run.generator, generator)
 
-    tables, latents, numbers = jax.tree.map(lambda a: a[0], copies)
-    rho = None if numbers is None else jax.nn.one_hot(numbers, count)
-    params = jax.jit(network.init)(jax.random.key(config.seed), tables, latents, jnp.float32(1), rho)
+    tables, latents, numbers, vectors = jax.tree.map(lambda a: a[0], copies)
+    seen = conditions_of(experiment.model, numbers, vectors)
+    params = jax.jit(network.init)(jax.random.key(config.seed), tables, latents, jnp.float32(1), *seen)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
     if not run.generator.exists():  # an earlier version trained it
         save(int(state.step), state.ema)
     return run
+
+
+def completed(
+    experiment: FLDMExperiment, codec: Codec, labelled: LabelMap | None, direction: Direction | None
+) -> FLDMExperiment:
+    """The experiment with the model that is really trained."""
+    given = len(labelled.palette) if labelled else 0, int(direction is not None)
+    model = complete(experiment.model, codec.config, experiment.surface.vertices, *given)
+    return replace(experiment, model=model)
 
 
 def fingerprint_of(asset: Asset, codec: Codec, surface: Surface) -> str:
@@ -100,6 +115,8 @@ def fingerprint_of(asset: Asset, codec: Codec, surface: Surface) -> str:
     parts = asset.digest + codec.digest()
     if surface.labels:
         parts += hashlib.sha256(read_file(Path(surface.labels))).hexdigest()
+    if surface.direction:
+        parts += digest_of_direction(surface.direction)
     return hashlib.sha256(parts.encode()).hexdigest()
 
 
@@ -111,7 +128,12 @@ def draw_times(model: FLDM, seed: int, first: int, count: int) -> Int32[np.ndarr
     return (1 + np.floor(numbers * model.steps)).astype(np.int32)
 
 
-Copies = tuple[MeshTables, Complex64[np.ndarray, "B V D"], Int32[np.ndarray, "B V"] | None]
+Copies = tuple[
+    MeshTables,
+    Complex64[np.ndarray, "B V D"],
+    Int32[np.ndarray, "B V"] | None,
+    Complex64[np.ndarray, "B V"] | None,
+]
 
 
 def load_copies(
@@ -121,11 +143,14 @@ def load_copies(
     codec: Codec,
     emphasis: float,
     labelled: LabelMap | None = None,
+    direction: Direction | None = None,
     workers: int | None = None,
-) -> tuple[Copies, Scaling, Home, Labels | None]:
-    """Tables, scaled latents and labels of all copies of the asset, prepared if need be, and the scaling.
+) -> tuple[Copies, Scaling, Home, Labels | None, Complex128[np.ndarray, "V"] | None]:
+    """Tables, scaled latents, labels and directions of all copies of the asset, prepared if need be, and the
+    scaling.
 
-    The first copy is also returned as it is, with its labels: the generator samples on it.
+    The first copy is also returned as it is, with its labels and its direction: the generator samples on it.
+    The direction is computed there, and carried to the others.
     """
     cache = open_cache(run.prepared, asset, surface, codec)
     copies = prepare(cache, asset, surface, codec, workers)
@@ -138,10 +163,15 @@ def load_copies(
     scaled = np.stack([scaling.to_diffusion(z) for z in latents])
     home = Home(copies[0].triangulation, copies[0].tables)
     tables = stack([copy.tables for copy in copies])
-    if labelled is None:
-        return (tables, scaled, None), scaling, home, None
-    numbers = np.stack([labels_on(labelled, copy.triangulation) for copy in copies])
-    return (tables, scaled, numbers), scaling, home, Labels(labelled.palette, numbers[0])
+    numbers = labels = vectors = field = None
+    if labelled is not None:
+        numbers = np.stack([labels_on(labelled, copy.triangulation) for copy in copies])
+        labels = Labels(labelled.palette, numbers[0])
+    if direction is not None:
+        field = field_on(direction, home.triangulation)
+        others = [carried(field, home.triangulation, copy.triangulation) for copy in copies[1:]]
+        vectors = np.stack([field, *others]).astype(np.complex64)
+    return (tables, scaled, numbers, vectors), scaling, home, labels, field
 
 
 def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
@@ -152,12 +182,20 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     surface, codec = experiment.surface, load_codec(experiment.weights)
     asset = read_copy(run, surface)
     labelled = read_labels(labels_in(run, surface), asset) if surface.labels else None
-    count = len(labelled.palette) if labelled else 0
-    experiment = replace(experiment, model=complete(experiment.model, codec.config, surface.vertices, count))
-    _, scaling, home, labels = load_copies(run, asset, surface, codec, experiment.model.emphasis, labelled)
+    direction = read_direction(said, asset) if (said := direction_in(run, surface)) else None
+    experiment = completed(experiment, codec, labelled, direction)
+    rules = experiment.model.emphasis, labelled, direction
+    _, scaling, home, labels, field = load_copies(run, asset, surface, codec, *rules)
     state = restore(run, experiment.train, parameter_shapes(experiment.model, home.tables))
     source = source_of(run, surface, asset)
-    return learnt_generator(experiment, state.ema, scaling, codec, home, source, int(state.step), labels)
+    parts = scaling, codec, home, source, int(state.step), labels, field
+    return learnt_generator(experiment, state.ema, *parts)
+
+
+def conditions_of(model: FLDM, labels: Any, direction: Any) -> tuple[Array | None, Array | None]:
+    """ρ and d as the network takes them, for the labels and the directions of the vertices of a copy."""
+    rho = None if labels is None else jax.nn.one_hot(labels, model.conditions)
+    return rho, None if direction is None else direction[:, None]
 
 
 def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
@@ -168,24 +206,25 @@ def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
     """
     alphas = jnp.asarray(schedule(model), jnp.float32)
 
-    def one(params: Any, tables: MeshTables, latents: Array, t: Array, labels: Any, key: Array) -> Array:
+    def one(params, tables: MeshTables, latents: Array, t: Array, labels, direction, key: Array) -> Array:
         noise = tangent_noise(key, latents.shape)
         noisy = diffusion.diffuse(latents, noise, alphas[t])
-        rho = None
-        if labels is not None:
-            rho = jax.nn.one_hot(labels, model.conditions)
+        rho, vectors = conditions_of(model, labels, direction)
+        if rho is not None:
             rho = dropped(jax.random.fold_in(key, 1), rho, model.label_dropout)
-        predicted = denoise(network, params, tables, noisy, t.astype(jnp.float32), rho)
+        if vectors is not None:
+            vectors = dropped(jax.random.fold_in(key, 2), vectors, model.direction_dropout)
+        predicted = denoise(network, params, tables, noisy, t.astype(jnp.float32), rho, vectors)
         errors = jnp.mean(squared_modulus(predicted - noise), -1) / 2
         error = jnp.sum(tables.fine.masses * errors)
         return error / alphas[t] if model.predicts == "velocity" else error
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
         if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
-            tables, latents, t, labels = jax.tree.map(lambda a: a[0], batch)
-            return one(params, tables, latents, t, labels, key), {}
+            tables, latents, t, labels, direction = jax.tree.map(lambda a: a[0], batch)
+            return one(params, tables, latents, t, labels, direction, key), {}
         keys = jax.random.split(key, batch.latents.shape[0])
-        each = jax.vmap(one, (None, 0, 0, 0, 0, 0))(params, *batch, keys)
+        each = jax.vmap(one, (None, 0, 0, 0, 0, 0, 0))(params, *batch, keys)
         return jnp.mean(each), {}
 
     return loss

@@ -32,7 +32,14 @@ STEERING = {
     "train.checkpoint_every": "",
 }
 # The fingerprint says what is there.
-PLACES = ("surface.path", "surface.texture", "surface.labels", "weights", "images.folder")
+PLACES = (
+    "surface.path",
+    "surface.texture",
+    "surface.labels",
+    "surface.direction",
+    "weights",
+    "images.folder",
+)
 OPEN = ("model.latents", "model.invariants", "model.blocks")  # left open by records without a version
 _KINDS = {kind.__name__: kind for kind in get_args(Experiment)}
 

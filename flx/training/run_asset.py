@@ -1,7 +1,7 @@
 """The asset of a run: read from where the experiment says, and copied whole into the run folder.
 
 `asset/files/` holds the mesh with every file that it needs, `asset/texture/` the image that replaces its own,
-`asset/labels/` that of its labels.
+`asset/labels/` that of its labels, `asset/direction/` that of its strokes.
 Reading them gives the same bits as the originals. (Older runs have `asset/asset.glb`.)
 """
 
@@ -18,6 +18,7 @@ from flx.assets.vase import vase_asset
 from flx.config import Surface
 from flx.files import write_atomically
 from flx.geometry.atlas import check_repeats
+from flx.pipeline.direction import file_of
 from flx.pipeline.generator import Source
 from flx.training.run import Run
 
@@ -46,6 +47,8 @@ def keep(asset: Asset, run: Run, surface: Surface) -> Asset:
             write_atomically(texture, read_file(Path(surface.texture or "")))
         if surface.labels:
             write_atomically(labels_in(run, surface), read_file(Path(surface.labels)))
+        if surface.direction and (strokes := file_of(surface.direction)):
+            write_atomically(run.asset / "direction" / strokes.name, read_file(strokes))
         _copy(asset, path, given=texture is not None)  # last: where it is, all is
     return read_copy(run, surface)
 
@@ -71,6 +74,12 @@ def source_of(run: Run, surface: Surface, asset: Asset) -> Source:
 def labels_in(run: Run, surface: Surface) -> Path:
     """Where the run has its labels, if it has any."""
     return run.asset / "labels" / Path(surface.labels or "").name
+
+
+def direction_in(run: Run, surface: Surface) -> str:
+    """The run's direction: a word, or where it has its strokes; "" if it has none."""
+    strokes = surface.direction and file_of(surface.direction)
+    return str(run.asset / "direction" / strokes.name) if strokes else surface.direction
 
 
 def _places(run: Run, surface: Surface) -> tuple[Path, Path | None]:

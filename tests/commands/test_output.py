@@ -100,6 +100,7 @@ def generator(tmp_path, monkeypatch) -> SimpleNamespace:
     monkeypatch.setattr("flx.training.load.load_generator", lambda _: made)
     monkeypatch.setattr("flx.pipeline.variations.generate", lambda g, n, *_: iter([own_painting(asset)] * n))
     monkeypatch.setattr("flx.pipeline.variations.check_labels", lambda *_: None)
+    monkeypatch.setattr("flx.pipeline.variations.check_direction", lambda *_: None)
     monkeypatch.setattr("flx.pipeline.transfer.vertex_count", lambda *_: 4)
     (tmp_path / "run").mkdir()
     return made

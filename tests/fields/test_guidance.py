@@ -13,8 +13,12 @@ RHO = jnp.eye(3)[jnp.arange(20) % 3]
 BARE = tangent_noise(jax.random.key(0), (20, 8))
 
 
-def noise(rho):
-    return BARE + jnp.sin(rho @ jnp.arange(24.0).reshape(3, 8))
+WAY = jnp.exp(1j * jnp.arange(20.0))[:, None]
+
+
+def noise(rho, direction=None):
+    seen = 0 if rho is None else rho @ jnp.arange(24.0).reshape(3, 8)
+    return BARE + jnp.sin(seen) + (0 if direction is None else direction * jnp.arange(8.0))
 
 
 def test_weight_0_is_unconditional_and_weight_1_conditional():
@@ -22,6 +26,17 @@ def test_weight_0_is_unconditional_and_weight_1_conditional():
         np.testing.assert_array_equal(guided(noise, Condition(RHO, jnp.float32(weight))), expected)
     np.testing.assert_array_equal(guided(noise, Condition(RHO)), noise(RHO))
     assert np.abs(noise(RHO) - noise(0 * RHO)).max() > 0.5
+
+
+def test_a_direction_is_weighed_as_labels_are_and_together_with_them():
+    twice = jnp.float32(2)
+    for rho in (None, RHO):
+        bare, told = noise(None if rho is None else 0 * rho), noise(rho, WAY)
+        found = guided(noise, Condition(rho, twice, WAY))
+        np.testing.assert_allclose(found, 2 * told - bare, atol=1e-5)
+        np.testing.assert_array_equal(guided(noise, Condition(rho, None, WAY)), told)
+        assert np.abs(told - bare).max() > 0.5
+    np.testing.assert_array_equal(guided(noise, Condition()), BARE)
 
 
 @given(weight=st.floats(0, 8))

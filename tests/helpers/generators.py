@@ -10,6 +10,7 @@ from helpers.surfaces import icosphere
 from flx.assets.read import read_asset
 from flx.config import FLDM, FLDMExperiment, Surface
 from flx.fields.diffusion import Scaling
+from flx.geometry.direction import field_on
 from flx.geometry.labels import labels_on
 from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.depth import complete
@@ -43,19 +44,20 @@ def labelled_sphere(sphere: Triangulation = BALL) -> bytes:
     return colored_sphere(sphere, colors[np.digitize(sphere.vertices[:, 2], [-0.4, 0.5])])
 
 
-def ball_generator(folder: Path, labelled: bool = False) -> Generator:
+def ball_generator(folder: Path, labelled: bool = False, direction: str = "") -> Generator:
     """An untrained one whose answers are not small; its asset is written to `folder`, and its labels."""
     (folder / "ball.ply").write_bytes(colored_sphere())
     asset = read_asset(folder / "ball.ply")
     codec, sphere = load_codec(), icosphere(2)
-    surface = Surface(path="/home/anna/secret/ball.ply", vertices=162, copies=1, up="z")
+    surface = Surface(path="/home/anna/secret/ball.ply", vertices=162, copies=1, up="z", direction=direction)
     small = FLDM(channels=4, embedding=8, precision="float32", steps=20)
-    model = complete(small, codec.config, 162, 3 * labelled)
+    model = complete(small, codec.config, 162, 3 * labelled, int(bool(direction)))
     experiment = FLDMExperiment(model=model, surface=surface, weights="/home/anna/secret/codec.safetensors")
     tables = mesh_tables(sphere)
     z = jnp.zeros((162, 8), jnp.complex64)
     rho = jnp.zeros((162, 3)) if labelled else None
-    params = jax.jit(network_of(model).init)(jax.random.key(1), tables, z, jnp.float32(1), rho)
+    way = jnp.zeros((162, 1), jnp.complex64) if direction else None
+    params = jax.jit(network_of(model).init)(jax.random.key(1), tables, z, jnp.float32(1), rho, way)
     params = jax.tree.map(lambda p: p + 0.1 * jnp.cos(jnp.arange(p.size).reshape(p.shape)), params)
     scaling = Scaling(np.arange(8).astype(np.complex64), np.full(8, 2 - 1j, np.complex64))
     files = {"files/ball.ply": colored_sphere()}
@@ -68,4 +70,6 @@ def ball_generator(folder: Path, labelled: bool = False) -> Generator:
         found = read_labels(folder / "zones.ply", asset)
         labels = Labels(found.palette, labels_on(found, sphere))
     source = Source("files/ball.ply", None, asset.digest, files, place)
-    return learnt_generator(experiment, params, scaling, codec, Home(sphere, tables), source, 7, labels)
+    field = field_on(direction, sphere) if direction else None
+    rest = Home(sphere, tables), source, 7, labels, field
+    return learnt_generator(experiment, params, scaling, codec, *rest)

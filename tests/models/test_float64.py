@@ -30,6 +30,7 @@ compiled = functools.partial(
     jax.jit, compiler_options={"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 )
 SMALL = FLDM(network="vectors", latents=3, channels=4, vn_layers=2, filter_width=6, embedding=8, conditions=2)
+SMALL = replace(SMALL, directions=1)
 DENOISERS = {
     "harmonic": SMALL,
     "mlp": replace(SMALL, filter="mlp"),
@@ -85,8 +86,8 @@ def frame_turns(before: OneRings, after: OneRings) -> np.ndarray:
 
 class Network(NamedTuple):
     config: FLDM
-    answer: Any  # tables, z, ρ → ε, compiled
-    gradient: Any  # tables, z, ρ, target → of ⟨target, ε⟩ by the parameters
+    answer: Any  # tables, z, ρ, d → ε, compiled
+    gradient: Any  # tables, z, ρ, d, target → of ⟨target, ε⟩ by the parameters
     params: Any
 
     def code_turn(self, turn: np.ndarray) -> np.ndarray:
@@ -97,6 +98,7 @@ class Network(NamedTuple):
 
 TABLES = exact_tables(HILL)
 RHO = np.random.default_rng(5).normal(size=(COUNT, 2))
+WAY = np.exp(1j * np.random.default_rng(7).uniform(-np.pi, np.pi, (COUNT, 1)))  # the direction
 
 
 @functools.cache
@@ -104,14 +106,14 @@ def network_of(name: str) -> Network:
     config = DENOISERS[name]
     network: Any = {"vectors": Denoiser, "mixed": MixedDenoiser}[config.network](config, (1, 1, 1))
     z = noise(0, COUNT, config.latents)
-    shapes = jax.eval_shape(network.init, jax.random.key(0), TABLES, z, jnp.float64(300), RHO)
+    shapes = jax.eval_shape(network.init, jax.random.key(0), TABLES, z, jnp.float64(300), RHO, WAY)
     params = random_parameters(shapes)
 
-    def answer(params, tables, z, rho):
-        return network.apply(params, tables, z, jnp.float64(300), rho)
+    def answer(params, tables, z, rho, way):
+        return network.apply(params, tables, z, jnp.float64(300), rho, way)
 
-    def inner(params, tables, z, rho, target):
-        return jnp.sum(jnp.real(jnp.conj(target) * answer(params, tables, z, rho)))
+    def inner(params, tables, z, rho, way, target):
+        return jnp.sum(jnp.real(jnp.conj(target) * answer(params, tables, z, rho, way)))
 
     return Network(config, compiled(answer), compiled(jax.grad(inner)), params)
 
@@ -124,7 +126,7 @@ networks = pytest.mark.parametrize("name", DENOISERS)
 def test_denoisers_turn_with_the_frames(name):
     """Frames turned at random; and the frames of the same mesh with its faces in another order."""
     network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
-    here = network.answer(network.params, TABLES, z, RHO)
+    here = network.answer(network.params, TABLES, z, RHO, WAY)
     alpha = np.random.default_rng(0).uniform(-np.pi, np.pi, COUNT)
     rebuilt = exact_tables(shuffled_faces(HILL))
     np.testing.assert_array_equal(rebuilt.pooling.centers, TABLES.pooling.centers)
@@ -132,10 +134,11 @@ def test_denoisers_turn_with_the_frames(name):
     for tables, turn in cases:
         assert np.abs(turn - 1).max() > 0.1
         turns = network.code_turn(turn)
-        there = network.answer(network.params, tables, z * turns, RHO)
+        there = network.answer(network.params, tables, z * turns, RHO, WAY * turn[:, None])
         assert there.dtype == np.complex128
         assert relative(there, here * turns) < EXACT
-        assert relative(network.answer(network.params, tables, z, RHO), here * turns) > 1e-3
+        for field, way in ((z, WAY * turn[:, None]), (z * turns, WAY)):  # one of the two does not turn
+            assert relative(network.answer(network.params, tables, field, RHO, way), here * turns) > 1e-3
 
 
 @pytest.mark.slow
@@ -143,11 +146,11 @@ def test_denoisers_turn_with_the_frames(name):
 def test_denoisers_see_no_motion_and_no_scale(name):
     """Tables rebuilt from a mesh that was turned, shifted and made 37 times as large."""
     network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
-    here = network.answer(network.params, TABLES, z, RHO)
+    here = network.answer(network.params, TABLES, z, RHO, WAY)
     for mesh in (moved(HILL, 1), moved(HILL, 2, 37.0)):
-        assert relative(network.answer(network.params, exact_tables(mesh), z, RHO), here) < EXACT
+        assert relative(network.answer(network.params, exact_tables(mesh), z, RHO, WAY), here) < EXACT
     stretched = exact_tables(Triangulation(HILL.vertices * [1, 1.1, 1], HILL.faces))
-    assert relative(network.answer(network.params, stretched, z, RHO), here) > 1e-4
+    assert relative(network.answer(network.params, stretched, z, RHO, WAY), here) > 1e-4
 
 
 @pytest.mark.slow
@@ -157,10 +160,11 @@ def test_denoisers_do_not_mind_the_numbering(name):
     network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
     rng = np.random.default_rng(2)
     fine, coarse = rng.permutation(COUNT), rng.permutation(len(TABLES.coarse.masses))  # new i is old order[i]
-    here = network.answer(network.params, TABLES, z, RHO)
+    here = network.answer(network.params, TABLES, z, RHO, WAY)
     tables = renumbered(TABLES, fine, coarse)
-    assert relative(network.answer(network.params, tables, z[fine], RHO[fine]), here[fine]) < EXACT
-    assert relative(network.answer(network.params, tables, z, RHO), here) > 1e-3
+    there = network.answer(network.params, tables, z[fine], RHO[fine], WAY[fine])
+    assert relative(there, here[fine]) < EXACT
+    assert relative(network.answer(network.params, tables, z, RHO, WAY), here) > 1e-3
 
 
 @pytest.mark.slow
@@ -168,16 +172,30 @@ def test_denoisers_do_not_mind_the_numbering(name):
 def test_denoisers_do_not_see_padding(name):
     """Beside a larger copy: spare slots, vertices, clusters and children, and any number in spare rows."""
     network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
-    here = network.answer(network.params, TABLES, z, RHO)
+    here = network.answer(network.params, TABLES, z, RHO, WAY)
     both = stack([TABLES, exact_tables(icosphere(2))])
     tables = jax.tree.map(lambda a: a[0], both)
     spare = len(tables.fine.masses) - COUNT
     assert spare > 50 and len(tables.coarse.masses) > len(TABLES.coarse.masses)
     filled = np.concatenate([z, 7 * noise(1, spare, z.shape[1])])
-    there = network.answer(
-        network.params, tables, filled, np.pad(RHO, ((0, spare), (0, 0)), constant_values=5)
-    )
+    rho, way = (np.pad(a, ((0, spare), (0, 0)), constant_values=5) for a in (RHO, WAY))
+    there = network.answer(network.params, tables, filled, rho, way)
     assert relative(there[:COUNT], here) < EXACT
+
+
+@pytest.mark.slow
+@networks
+def test_no_direction_is_as_if_none_had_been_learnt(name):
+    """A zero vector everywhere: the network without its maps of the direction."""
+    network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
+    here = network.answer(network.params, TABLES, z, RHO, 0 * WAY)
+    params = {k: v for k, v in network.params["params"].items() if not k.startswith("direction_")}
+    assert len(params) == len(network.params["params"]) - 3
+    kind = {"vectors": Denoiser, "mixed": MixedDenoiser}[network.config.network]
+    bare = kind(replace(network.config, directions=0), (1, 1, 1))
+    there = compiled(bare.apply)({"params": params}, TABLES, z, jnp.float64(300), RHO)
+    assert relative(there, here) < EXACT
+    assert relative(network.answer(network.params, TABLES, z, RHO, WAY), here) > 1e-2
 
 
 @pytest.mark.slow
@@ -187,9 +205,8 @@ def test_detail_goes_around_the_coarse_level(name):
     network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
     p = TABLES.pooling
     cut = TABLES._replace(pooling=p._replace(child_weights=0 * p.child_weights, transports=0 * p.transports))
-    here, there = (
-        network.answer(network.params, cut, a, RHO) for a in (z, z + 5 * (np.arange(COUNT) == 9)[:, None])
-    )
+    pushed = z + 5 * (np.arange(COUNT) == 9)[:, None]
+    here, there = (network.answer(network.params, cut, a, RHO, WAY) for a in (z, pushed))
     change = np.abs(there - here).max(1)
     assert change[9] > 3 * np.median(change) > 0  # the rest moves a little: norms see the whole surface
 
@@ -200,14 +217,14 @@ def test_gradients_of_denoisers_are_slopes_and_know_no_frame(name):
     """Against a central difference along a random direction in all parameters; and in other frames."""
     network, z = network_of(name), noise(0, COUNT, DENOISERS[name].latents)
     target = noise(4, COUNT, z.shape[1])
-    gradient = network.gradient(network.params, TABLES, z, RHO, target)
+    gradient = network.gradient(network.params, TABLES, z, RHO, WAY, target)
     leaves, tree = jax.tree.flatten(network.params)
     rng = np.random.default_rng(6)
     direction = jax.tree.unflatten(tree, [rng.normal(size=a.shape) for a in leaves])
 
     def along(step: float) -> float:
         moved = jax.tree.map(lambda a, d: a + step * d, network.params, direction)
-        return np.sum(np.real(np.conj(target) * network.answer(moved, TABLES, z, RHO)))
+        return np.sum(np.real(np.conj(target) * network.answer(moved, TABLES, z, RHO, WAY)))
 
     slope = sum(
         np.sum(g * d) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
@@ -216,8 +233,9 @@ def test_gradients_of_denoisers_are_slopes_and_know_no_frame(name):
     np.testing.assert_allclose(slope, measured, rtol=1e-6)
 
     alpha = np.random.default_rng(0).uniform(-np.pi, np.pi, COUNT)
-    turns = network.code_turn(np.exp(1j * alpha))
-    again = network.gradient(network.params, turned(TABLES, alpha), z * turns, RHO, target * turns)
+    turn, turns = np.exp(1j * alpha)[:, None], network.code_turn(np.exp(1j * alpha))
+    there = turned(TABLES, alpha), z * turns, RHO, WAY * turn, target * turns
+    again = network.gradient(network.params, *there)
     for path, leaf in jax.tree_util.tree_leaves_with_path(gradient):
         other = functools.reduce(lambda node, key: node[key.key], path, again)
         np.testing.assert_allclose(other, leaf, rtol=0, atol=EXACT * np.abs(leaf).max(), err_msg=str(path))

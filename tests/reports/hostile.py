@@ -137,8 +137,34 @@ def many_bombs(folder: Path) -> Path:
     return folder / "a.obj"
 
 
+CONFIG = """
+from pathlib import Path
+from flx.config import FLDMExperiment, Surface
+strokes = str(Path(__file__).with_name("strokes.json"))
+config = FLDMExperiment(surface=Surface(vertices=5000, copies=1, direction=strokes))
+"""
+
+
+def strokes(content: object) -> Build:
+    """An OBJ beside a file of strokes, and a config that names it."""
+
+    def build(folder: Path) -> Path:
+        (folder / "config.py").write_text(CONFIG)
+        text = content if isinstance(content, str) else json.dumps({"strokes": content})
+        (folder / "strokes.json").write_text(text)
+        return obj()(folder)
+
+    return build
+
+
+def stroke(*points: object, **more: object) -> Build:
+    return strokes([{"points": points, **more}])
+
+
 GOOD = {
     "OBJ": obj(),
+    "strokes": stroke([0.1, 0.1, 0], [0.3, 0.2, 0]),
+    "strokes: a point with a direction": stroke([0.1, 0.1, 0], direction=[1, 0, 0]),
     "PLY, ASCII": ply(PLY),
     "PLY, binary": ply(ply_binary()),
     "GLB": gltf(len),
@@ -241,6 +267,34 @@ CASES = [
     Case("URL", lambda _: Path("https://127.0.0.1:9/a.glb"), "does not exist"),
     Case("name of 5,000 letters", lambda folder: folder / ("a" * 5000 + ".glb"), "too long"),
     Case("file of 20 GB", special("a.glb", sparse_file), "FLX_MAX_BYTES"),
+    # strokes
+    Case("strokes: none", strokes([]), "strokes.json: it has no strokes"),
+    Case("strokes: empty file", strokes(""), "strokes.json: it is not JSON"),
+    Case("strokes: a list", strokes("[]"), "it has no strokes"),
+    Case("strokes: 100,000 brackets", strokes("[" * 100_000), "it is not JSON"),
+    Case("strokes: 5 million values", strokes("[" + "[]," * 5_000_000 + "0]"), "bytes; give at most"),
+    Case("strokes: an integer of 10,000 digits", strokes('{"strokes":' + "9" * 10_000 + "}"), "it is not JSON"),
+    Case("strokes: a stroke is a number", strokes([1]), r"strokes\[0\] has no list of points"),
+    Case("strokes: a point is a word", stroke("here", "there"), r'points\[0\] is "here"; give three'),
+    Case("strokes: a point of NaN", stroke([0, 0, 0], [float("nan"), 0, 0]), r"strokes\[0\].points\[1\] is \[NaN, 0, 0\]; give three finite"),
+    Case("strokes: a point of infinity", stroke([float("inf"), 0, 0], [0, 0, 0]), r"points\[0\] is \[Infinity"),
+    Case("strokes: a point of 1e300", stroke([1e300, 0, 0], [0, 0, 0]), "give three finite"),
+    Case("strokes: an integer of 400 digits", stroke([10**400, 0, 0], [0, 0, 0]), "give three finite"),
+    Case("strokes: a point of 2", stroke([0, 0], [0, 0, 0]), r"points\[0\] is \[0, 0\]; give three"),
+    Case("strokes: no point", stroke(), "too few points, 0; give two"),
+    Case("strokes: one point", stroke([0, 0, 0]), "too few points, 1; give two"),
+    Case("strokes: no length", stroke([0, 0, 0], [0, 0, 0]), "has no length"),
+    Case("strokes: 20,000 points", stroke(*[[0, 0, 0]] * 20_000), "20,000 points; give at most"),
+    Case("strokes: direction of NaN", stroke([0, 0, 0], direction=[0, float("nan"), 0]), r"direction is \[0, NaN, 0\]"),
+    Case("strokes: direction 0", stroke([0, 0, 0], direction=[0, 0, 0]), "direction is zero"),
+    Case("strokes: at right angles", stroke([0.2, 0.2, 0], direction=[0, 0, 1]), "at right angles to the surface"),
+    Case("strokes: far away", stroke([0, 0, 0], [1e140, 0, 0]), "away from the surface"),
+    Case("strokes: through the mesh", stroke([0, 0, 0], [0.4, 0.4, 0.2]), "away from the surface"),
+    Case("strokes: an unknown field", stroke([0, 0, 0], [1, 0, 0], width=3), "unknown field 'width'"),
+    Case("strokes: a folder", beside(strokes([]), "strokes.json", os.mkdir), "not a file"),
+    Case("strokes: a pipe", beside(strokes([]), "strokes.json", os.mkfifo), "not a file"),
+    Case("strokes: a device", symlink(strokes([]), "strokes.json", "/dev/zero"), "not a file"),
+    Case("strokes: 20 GB", beside(strokes([]), "strokes.json", sparse_file), "FLX_MAX_BYTES"),
     # OBJ
     Case("OBJ: points only", raw("a.obj", "v 0 0 0\nv 1 0 0\n"), "no triangles"),
     Case("OBJ: index 0", obj(lambda t: t.replace("f 1/1", "f 0/1")), "counts from 1"),
@@ -361,7 +415,8 @@ def run(build: Build) -> Outcome:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
             signal.alarm(60)
             try:
-                status = main(["doctor", str(path)])
+                config = folder / "config.py"
+                status = main(["doctor", str(path), *(["--config", str(config)] if config.exists() else [])])
             except BaseException as uncaught:
                 status = -1
                 print(f"{type(uncaught).__name__}: {uncaught}", file=sys.stderr)
@@ -403,6 +458,7 @@ def table() -> dict[str, Outcome]:
     resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
     signal.signal(signal.SIGALRM, _too_long)
     sys.addaudithook(_watch)
+    sys.dont_write_bytecode = True  # of configs
     return {name: run(build) for name, build in (GOOD | HEAVY).items()} | {
         c.name: run(c.build) for c in CASES
     }

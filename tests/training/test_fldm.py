@@ -24,7 +24,7 @@ class Knowing(Denoiser):
     says_nothing: bool = False
 
     @nn.compact
-    def __call__(self, tables, z, t, rho=None):
+    def __call__(self, tables, z, t, rho=None, direction=None):
         alpha = jnp.asarray(schedule(FLDM()), jnp.float32)[t.astype(int)]
         noise = (z - jnp.sqrt(alpha) * DATA) / jnp.sqrt(1 - alpha)
         velocity = jnp.sqrt(alpha) * noise - jnp.sqrt(1 - alpha) * DATA
@@ -64,9 +64,36 @@ class Told(Denoiser):
     """Says what its condition is, everywhere."""
 
     @nn.compact
-    def __call__(self, tables, z, t, rho=None):
+    def __call__(self, tables, z, t, rho=None, direction=None):
         assert rho is not None
         return jnp.broadcast_to(rho.sum(0) / len(rho), (len(rho), 8)).astype(jnp.complex64)
+
+
+class Shown(Denoiser):
+    """Says what its direction is, everywhere, in two channels."""
+
+    @nn.compact
+    def __call__(self, tables, z, t, rho=None, direction=None):
+        assert direction is not None and rho is not None
+        told = jnp.broadcast_to(rho.sum(0) / len(rho), (len(rho), 4)).astype(jnp.complex64)
+        return jnp.concatenate([told, jnp.broadcast_to(direction, (len(rho), 4))], 1)
+
+
+def test_a_draw_sees_its_direction_or_none_and_its_labels_for_themselves():
+    tables = stack([mesh_tables(square_grid(8))])
+    batch = MeshBatch(tables, DATA[None], draw_times(FLDM(), 0, 0, 1), np.full((1, 64), 3, np.int32))
+    batch = batch._replace(direction=np.full((1, 64), 1j, np.complex64))
+
+    def values(labels: float, direction: float) -> list[float]:
+        dropouts = {"label_dropout": labels, "direction_dropout": direction}
+        model = FLDM(conditions=4, directions=1, **dropouts)
+        loss = jax.jit(diffusion_loss(model, Shown(model, (1, 1, 1))))
+        return [round(float(loss({}, batch, jax.random.key(n))[0]), 4) for n in range(12)]
+
+    ends = {(a, b): values(a, b) for a in (0.0, 1.0) for b in (0.0, 1.0)}
+    each = zip(values(0.5, 0.5), *ends.values(), strict=True)
+    seen = [row[1:].index(row[0]) for row in each]  # which of the four each draw is
+    assert len(set(seen)) == 4
 
 
 @pytest.mark.parametrize("count", [1, 6])
@@ -93,3 +120,5 @@ def test_a_dropout_out_of_range_is_refused():
     for dropout in (-0.1, 1.5, float("nan")):
         with pytest.raises(ValueError, match=r"model.label_dropout is"):
             FLDM(label_dropout=dropout)
+        with pytest.raises(ValueError, match=r"model.direction_dropout is"):
+            FLDM(direction_dropout=dropout)

@@ -113,9 +113,10 @@ def test_harmless_changes_are_taken_and_said_where_they_count(tmp_path, capsys):
 def test_a_record_without_later_fields_means_what_was(tmp_path):
     path = open_run(tmp_path, demo, "ab12").config
     record = json.loads(path.read_bytes())
-    for part, name in (("model", "draws"), ("model", "emphasis"), ("surface", "labels")):
-        del record["config"][part][name]
-    del record["config"]["model"]["label_dropout"]
+    for name in ("draws", "emphasis", "label_dropout", "directions", "direction_dropout"):
+        del record["config"]["model"][name]
+    for name in ("labels", "direction"):
+        del record["config"]["surface"][name]
     path.write_text(json.dumps(record))
     assert load_config(path.parent) == demo
     other = dataclasses.replace(demo, model=dataclasses.replace(demo.model, draws="lognormal"))

@@ -14,7 +14,7 @@ from flx.assets.formats.obj_source import ObjSource
 from flx.assets.write import write
 from flx.config import Surface
 from flx.training.run import Run
-from flx.training.run_asset import keep, read_copy, read_source
+from flx.training.run_asset import direction_in, keep, read_copy, read_source
 
 
 def obj(folder: Path) -> Path:
@@ -150,3 +150,18 @@ def test_a_copy_that_was_killed_is_made_again(tmp_path, monkeypatch):
             keep(asset, run, surface)
     assert (run.asset / "files" / "cube.mtl").exists()
     assert same_bits(asset, keep(asset, run, surface))
+
+
+def test_strokes_are_kept_with_the_mesh_and_a_word_is_itself(tmp_path):
+    strokes = tmp_path / "s.json"
+    strokes.write_text('{"strokes": [{"points": [[0, 0, 0], [1, 0, 0]]}]}')
+    path = str(ply_colors(tmp_path / "mesh"))
+    drawn, worded = (Surface(path=path, direction=said) for said in (str(strokes), "y"))
+    for run, surface in ((Run(tmp_path / "a"), drawn), (Run(tmp_path / "b"), worded)):
+        keep(read_source(surface), run, surface)
+    written = strokes.read_bytes()
+    strokes.unlink()
+    kept = Path(direction_in(Run(tmp_path / "a"), drawn))
+    assert kept.is_relative_to(tmp_path / "a") and kept.read_bytes() == written
+    assert direction_in(Run(tmp_path / "b"), worded) == "y" and not (tmp_path / "b/asset/direction").exists()
+    assert direction_in(Run(tmp_path / "b"), Surface(path=path)) == ""

@@ -26,11 +26,11 @@ _RINGS = (2, 4, 2)  # fine rings a block of each part looks further: two convolu
 _LARGEST_REACH = 0.085  # share of the vertices; the paper's 28 rings are 0.081 of 30K
 
 
-def complete(model: FLDM, codec: FLVAE, vertices: int, labels: int = 0) -> FLDM:
+def complete(model: FLDM, codec: FLVAE, vertices: int, labels: int = 0, directions: int = 0) -> FLDM:
     """The model that is really trained: what the experiment leaves open (None) follows from codec and mesh.
 
-    It has as many conditions as there are labels. Raises ValueError where the experiment asks for something
-    that the codec's codes or the labels do not fit.
+    It has as many conditions as there are labels, and a vector condition where there is a direction. Raises
+    ValueError where the experiment asks for something that the codec's codes or these do not fit.
     """
     for name in ("latents", "invariants"):
         wanted, actual = getattr(model, name), getattr(codec, name)
@@ -44,6 +44,11 @@ def complete(model: FLDM, codec: FLVAE, vertices: int, labels: int = 0) -> FLDM:
             f"model.conditions is {model.conditions} but there are {labels} labels; leave it out, and name "
             "the labels with --surface.labels"
         )
+    if model.directions not in (0, directions):
+        raise ValueError(
+            f"model.directions is {model.directions} but there are {directions}; leave it out, and give a "
+            "direction with --surface.direction"
+        )
     network = model.network or ("mixed" if codec.invariants else "vectors")
     if network == "vectors" and codec.invariants:
         raise ValueError(
@@ -54,6 +59,7 @@ def complete(model: FLDM, codec: FLVAE, vertices: int, labels: int = 0) -> FLDM:
         model,
         network=network,
         conditions=labels,
+        directions=directions,
         latents=codec.latents,
         invariants=codec.invariants,
         blocks=model.blocks or blocks_for(vertices),

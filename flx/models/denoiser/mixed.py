@@ -111,6 +111,10 @@ class MixedDenoiser(UNet):
         vectors = PairsDense(features, precision, name=name)(x[0])
         return vectors, RealDense(2 * features, precision, name=f"{name}_invariants")(x[1])
 
+    def add(self, name: str, x: Fields, d: Complex[Array, "V n"]) -> Fields:
+        pairs = algebra.real_pairs(d)
+        return x[0] + PairsDense(x[0].shape[-1] // 2, self.config.precision, name=name)(pairs), x[1]
+
     def merge(self, upper: Fields, x: Fields) -> Fields:
         upper = self.dense(self.config.channels, "merge", upper)
         skipped = self.dense(self.config.channels, "skip", x)

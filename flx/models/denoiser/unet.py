@@ -1,4 +1,4 @@
-"""ε(Z_t, t, ρ): what both denoising networks share. A two-level U-Net on the tables of one mesh copy.
+"""ε(Z_t, t, ρ, d): what both denoising networks share. A two-level U-Net on the tables of one mesh copy.
 
 How much of the surface the network sees is the design (`flx.models.denoiser.depth`). Subclasses define the
 features (vectors, or vectors and invariants), and how they are lifted, pooled, merged and read out.
@@ -34,6 +34,7 @@ class UNet(nn.Module):
     Block: ClassVar[Any]  # (config)(features, level, embedding) → (features, None)
     split: ClassVar[Any]  # (z) → features
     dense: ClassVar[Any]  # (channels, name, features) → features: a layer at each vertex
+    add: ClassVar[Any]  # (name, features, d [V, n]) → features, plus complex-linear maps of the vectors d
     pool: ClassVar[Any]  # (pooling, fine features) → coarse features
     unpool: ClassVar[Any]  # (pooling, coarse features) → fine features
     merge: ClassVar[Any]  # (features from the coarse level, features that skipped it) → features
@@ -47,11 +48,23 @@ class UNet(nn.Module):
         z: Complex[Array, "V D"],
         t: Float[Array, ""],
         rho: Float[Array, "V m"] | None = None,
+        direction: Complex[Array, "V n"] | None = None,
     ) -> Complex[Array, "V D"]:
-        """The noise (or velocity) in z at step t, conditioned on the scalars ρ of each vertex.
+        """The noise (or velocity) in z at step t, conditioned on scalars ρ and vectors d of each vertex.
 
-        Raises ValueError where ρ is not what `config.conditions` says.
+        A zero vector is no direction: the maps that take it in have no bias. Raises ValueError where ρ is not
+        what `config.conditions` says, or d not what `config.directions` does.
         """
+        given = 0 if direction is None else direction.shape[-1]
+        if given != self.config.directions:
+            raise ValueError(
+                f"direction has {given} vectors a vertex; model.directions is {self.config.directions}: make "
+                "them equal"
+            )
+
+        def told(part: str, x: Features, rows: Any = slice(None)) -> Features:
+            return x if direction is None else self.add(f"direction_{part}", x, direction[rows])
+
         fine, pooling, coarse = self.level(tables.fine), tables.pooling, self.level(tables.coarse)
         before, middle, after = self.blocks
         channels = self.config.channels
@@ -59,11 +72,12 @@ class UNet(nn.Module):
         below = embedding if rho is None else embedding[pooling.centers]
 
         x = self.dense(channels, "lift", self.split(z))
-        x = self.run("before", before, x, fine, embedding)
+        x = self.run("before", before, told("before", x), fine, embedding)
         y = self.dense(2 * channels, "widen", self.pool(pooling, x))
-        y = self.run("coarse", middle, y, coarse, below)
+        # A coarse vertex is a fine one, in its frame: its vector needs no transport.
+        y = self.run("coarse", middle, told("coarse", y, pooling.centers), coarse, below)
         x = self.merge(self.unpool(pooling, y), x)
-        x = self.run("after", after, x, fine, embedding)
+        x = self.run("after", after, told("after", x), fine, embedding)
         return self.head(x)
 
     def run(self, name: str, count: int, x: Features, level: Any, embedding: Array) -> Features:
@@ -105,12 +119,13 @@ def denoise(
     z: Complex[Array, "V D"],
     t: Float[Array, ""],
     rho: Float[Array, "V m"] | None = None,
+    direction: Complex[Array, "V n"] | None = None,
 ) -> Complex[Array, "V D"]:
     """The noise in z = Z_t, by the network as a function of its parameters.
 
     The network returns ε, or v = √α_t ε − √(1−α_t) Z (Salimans & Ho 2022): ε = √(1−α_t) Z_t + √α_t v.
     """
-    answer: Any = network.apply(params, tables, z, t, rho)
+    answer: Any = network.apply(params, tables, z, t, rho, direction)
     if network.config.predicts == "noise":
         return answer
     alpha = jnp.asarray(schedule(network.config), jnp.float32)[t.astype(jnp.int32)]

@@ -76,6 +76,9 @@ class Denoiser(UNet):
     def dense(self, features: int, name: str, x: Complex[Array, "V C"]) -> Complex[Array, "V D"]:
         return ComplexDense(features, self.config.precision, name=name)(x)
 
+    def add(self, name: str, x: Complex[Array, "V C"], d: Complex[Array, "V n"]) -> Complex[Array, "V C"]:
+        return x + self.dense(x.shape[-1], name, d)
+
     def merge(self, upper: Complex[Array, "V E"], x: Complex[Array, "V C"]) -> Complex[Array, "V C"]:
         return self.dense(self.config.channels, "merge", jnp.concatenate([upper, x], -1))
 

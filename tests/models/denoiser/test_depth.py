@@ -10,7 +10,8 @@ from helpers.denoisers import denoiser
 from helpers.frames import field, tables_of
 from helpers.surfaces import icosphere
 
-from flx.models.denoiser.depth import blocks_for, reach
+from flx.config import FLDM, FLVAE
+from flx.models.denoiser.depth import blocks_for, complete, reach
 from flx.types import MeshTables, OneRings
 
 
@@ -27,6 +28,14 @@ def test_more_vertices_never_make_a_shallower_network():
     assert depths[0] == (1, 1, 1) and depths[-1] == (2, 4, 4)
     for shallow, deep in itertools.pairwise(depths):
         assert all(a <= b for a, b in zip(shallow, deep, strict=True))
+
+
+def test_a_model_has_a_vector_condition_where_there_is_a_direction():
+    assert complete(FLDM(), FLVAE(), 5000).directions == 0
+    for asked in (0, 1):
+        assert complete(FLDM(directions=asked), FLVAE(), 5000, directions=1).directions == 1
+    with pytest.raises(ValueError, match=r"model.directions is 1 but there are 0; leave it out"):
+        complete(FLDM(directions=1), FLVAE(), 5000)
 
 
 @pytest.mark.slow

@@ -70,3 +70,5 @@ def test_the_denoiser_takes_conditions():
     assert relative(denoise(network, params, tables, z, jnp.float32(30), rho + 1), here) > 1e-3
     with pytest.raises(ValueError, match="make them equal"):
         denoise(network, params, tables, z, jnp.float32(30))
+    with pytest.raises(ValueError, match=r"direction has 1 vectors a vertex; model.directions is 0: make"):
+        denoise(network, params, tables, z, jnp.float32(30), rho, z[:, :1])
