@@ -12,7 +12,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
-APART = ("out", "count", "up", "viewer", "instant")  # options on which no mesh that is written depends
+APART = ("run", "out", "count", "up", "viewer", "instant")  # options on which no mesh that is written depends
 
 
 def settings(options: Any) -> dict[str, Any]:

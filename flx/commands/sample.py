@@ -92,8 +92,9 @@ def sample(options: Sample) -> Path:
         check_variants(asset, options.format)
     read = {name: getattr(options.controls, name) for name in ("keep", "fill", "labels")}
     read["direction"] = file_of(options.controls.direction or "x")
+    patched = () if options.instant else {f.name for f in fields(Patches)}
     made_by = {
-        **settings(options),
+        **{name: value for name, value in settings(options).items() if name not in patched},
         **plan.made_by,
         **{
             f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
@@ -112,8 +113,8 @@ def sample(options: Sample) -> Path:
 
     record = {
         "run": str(options.run or "the vase of flx"),
-        **made_by,
         "vertices": plan.vertices,
+        **made_by,
         "seam_ratio_input": seam_ratio((asset if plan.file is own else own).mesh),
     }
     details = {

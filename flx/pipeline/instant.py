@@ -135,6 +135,9 @@ def patchworks(
         seed: Variation n depends on the seed and n alone.
         texture_size: Pixels on the longer side; the input's, at most 2048 (all where some are kept), unless
             given.
+
+    Example:
+        painting = next(flx.patchworks(flx.patch_generator(asset)))
     """
     check_kind("generator", generator, PatchGenerator, "what flx.patch_generator returns")
     count, seed = whole("count", count, 1), whole("seed", seed)
