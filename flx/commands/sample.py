@@ -117,10 +117,9 @@ def sample(options: Sample) -> Path:
         **made_by,
         "seam_ratio_input": seam_ratio((asset if plan.file is own else own).mesh),
     }
-    details = {
-        name: {
-            key: values[place] for key, values in before.items() if key in _DETAILS and place < len(values)
-        }
+    lists = {key: before[key] for key in _DETAILS if key in before}
+    details: dict[str, dict[str, Any]] = {
+        name: {key: said[place] for key, said in lists.items() if place < len(said)}
         for place, name in enumerate(before.get("files", []))
     }
     _write_record(out, record, list(details), details)  # first: it says whose files these are
@@ -285,8 +284,8 @@ def _write_record(
     out: Path, record: dict[str, Any], files: list[str], details: dict[str, dict[str, Any]]
 ) -> None:
     """samples.json: the files that are there, and of each variation how its seams and borders are."""
-    said = {key: [of.get(key) for of in details.values()] for key in _DETAILS}
-    content = {**record, "files": files} | {
-        key: of for key, of in said.items() if any(x is not None for x in of)
-    }
+    content = {**record, "files": files}
+    for key in _DETAILS:
+        if key == "seam_ratios" or any(key in said for said in details.values()):
+            content[key] = [said.get(key) for said in details.values()]
     write_atomically(out / "samples.json", (json.dumps(content, indent=2) + "\n").encode())
