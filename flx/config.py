@@ -278,9 +278,10 @@ class Patches:
     guide: float = 1.0  # how much rims come from rims and hollows from hollows; 0 does not care
 
     def __post_init__(self) -> None:
-        whole("vertices", self.vertices, 100)
+        if whole("vertices", self.vertices, 100) > 200_000:
+            raise ValueError(f"vertices is {self.vertices}; give at most 200,000")
         for name in ("coherence", "guide"):
-            number(name, getattr(self, name), 0)
+            object.__setattr__(self, name, number(name, getattr(self, name), 0))
 
 
 @dataclass(frozen=True)

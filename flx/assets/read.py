@@ -6,7 +6,7 @@ from pathlib import Path
 
 from flx.arguments import check_word, path_of
 from flx.assets.assemble import assemble, faults_of
-from flx.assets.asset import Asset, Format
+from flx.assets.asset import Asset
 from flx.assets.formats.files import BadFile
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.readers import READERS, Contents, Reader
@@ -50,16 +50,16 @@ def read_asset(
         return assemble(path, contents, texture, slots)
 
 
-def read_with_maps(path: Path, format: Format) -> Asset:
-    """`read_asset` with all maps of its materials that can be written to a file of this format.
-
-    Maps that cannot be read are left out; stderr says which.
-    """
+def read_with_maps(path: Path) -> Asset:
+    """`read_asset` with all maps of a glTF or GLB; those that cannot be read are left out, as stderr says."""
     asset = read_asset(path)
-    if format != "glb" or not isinstance(asset.container, Gltf):
+    if not isinstance(asset.container, Gltf):
         return asset
     others: list[Slot] = [s for s in SLOTS if s != "base_color" and asset.map_names.get(s)]
-    readable: list[Slot] = []
+    try:
+        return read_asset(path, slots=others)
+    except (OSError, ValueError):
+        readable: list[Slot] = []  # find out which
     for slot in others:
         try:
             asset = read_asset(path, slots=[*readable, slot])

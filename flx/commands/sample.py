@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 from tqdm import tqdm
 from tyro.conf import OmitArgPrefixes, Positional
 
+from flx.arguments import whole
 from flx.assets.asset import Asset, Format, Painting
 from flx.commands.output import own_folder, settings
 from flx.commands.stages import Stages
@@ -84,6 +85,7 @@ def sample(options: Sample) -> Path:
     from flx.viewer.page import NAME, shot
 
     check_size(options.texture_size)
+    whole("--seed", options.seed)
     if options.count < 1 or options.steps < 1:
         raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
     plan = instant_plan(options) if options.instant else learnt_plan(options)
@@ -92,9 +94,9 @@ def sample(options: Sample) -> Path:
         check_variants(asset, options.format)
     read = {name: getattr(options.controls, name) for name in ("keep", "fill", "labels")}
     read["direction"] = file_of(options.controls.direction or "x")
-    patched = () if options.instant else {f.name for f in fields(Patches)}
+    unused = {"steps", "sampler"} if options.instant else {f.name for f in fields(Patches)}
     made_by = {
-        **{name: value for name, value in settings(options).items() if name not in patched},
+        **{name: value for name, value in settings(options).items() if name not in unused},
         **plan.made_by,
         **{
             f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
@@ -122,8 +124,9 @@ def sample(options: Sample) -> Path:
         name: {key: said[place] for key, said in lists.items() if place < len(said)}
         for place, name in enumerate(before.get("files", []))
     }
+    made = plan.paint()  # what still refuses does so before anything is written
     _write_record(out, record, list(details), details)  # first: it says whose files these are
-    bar = tqdm(plan.paint(), "variations", options.count, unit="texture", dynamic_ncols=True)
+    bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
     variations: list[Painting] = []  # what the contact sheet shows
     shots = [shot("input", own)]  # what the page shows
 
@@ -224,7 +227,7 @@ def learnt_plan(options: Sample) -> Plan:
 def instant_plan(options: Sample) -> Plan:
     """Variations from pieces of the input, without training."""
     from flx.assets.formats.readers import READERS
-    from flx.assets.read import read_with_maps
+    from flx.assets.read import OTHERS, read_asset, read_with_maps
     from flx.assets.shape import read_shape
     from flx.assets.unwrap import prepared_for
     from flx.assets.vase import vase_asset
@@ -234,11 +237,16 @@ def instant_plan(options: Sample) -> Plan:
     from flx.training.load import load_generator
 
     check_instant(options.controls)
+    if options.steps != STEPS or options.sampler != "dpm":
+        raise ValueError("there is no network to evaluate with --instant; leave out --steps and --sampler")
     up: Literal["y", "z"] = "y"
     if options.run is None:
         own, usual = vase_asset(), Path("runs", "vase-instant")
-    elif options.run.suffix.lower() in READERS:
-        own, usual = read_with_maps(options.run, options.format), Path("runs", f"{options.run.stem}-instant")
+    elif options.run.suffix.lower() in {*READERS, *OTHERS}:
+        # Variants of a file share its other maps, so these stay as they are.
+        maps = not options.variants and options.format == "glb"
+        own = read_with_maps(options.run) if maps else read_asset(options.run)
+        usual = Path("runs", f"{options.run.stem}-instant")
     else:
         generator = load_generator(options.run)
         own, up = generator.asset, generator.experiment.surface.up
@@ -253,9 +261,11 @@ def instant_plan(options: Sample) -> Plan:
         generator = patch_generator(own, options.patches, 0, options.controls, asset)
         stages("finding texels on the surface")
         canvases = open_canvases(generator, options.texture_size)
-        for n in range(options.count):
-            anchors = generator.sample([options.seed, n])
-            yield painted(generator, canvases, anchors), {"pieces": generator.pieces(anchors)._asdict()}
+        every = (generator.sample([options.seed, n]) for n in range(options.count))
+        return (
+            (painted(generator, canvases, anchors), {"pieces": generator.pieces(anchors)._asdict()})
+            for anchors in every
+        )
 
     return Plan(
         own=own,

@@ -90,7 +90,7 @@ class Inpainting(NamedTuple):
 
     kept: Kept
     shares: Float32[np.ndarray, "V"]  # of each one-ring that is kept
-    hook: Partial  # for samplers
+    hook: Partial | None  # for samplers
 
 
 def inpainting(generator: Generator, kept: Kept, triangulation: Triangulation) -> Inpainting:

@@ -11,20 +11,21 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jax.tree_util import Partial
 from jaxtyping import Float32, Float64, Int
-from scipy.sparse import csc_array, csr_array, eye_array
+from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from flx.arguments import check_kind, whole
 from flx.assets.asset import Asset, Images, Painting, check_asset
 from flx.assets.shape import read_shape
 from flx.config import Controls, Patches
-from flx.geometry.arrays import face_areas, unit_vectors
+from flx.geometry.arrays import face_areas, mark, unit_vectors
 from flx.geometry.atlas import with_filled_gutters
+from flx.geometry.color import eight_bits, resized
+from flx.geometry.copies import check_memory
 from flx.geometry.patchwork.anchors import Anchors, settled
 from flx.geometry.patchwork.cuts import Patchwork
-from flx.geometry.patchwork.synthesis import Pieces, Synthesis, pieces, prepare, synthesize
+from flx.geometry.patchwork.synthesis import FINER, Pieces, Synthesis, pieces, prepare, synthesize
 from flx.geometry.remesh.remesh import remesh
 from flx.geometry.sampling import face_normals, surface_colors, transfer
 from flx.pipeline.canvas import Canvas, bake, check_size, open_canvas
@@ -37,6 +38,7 @@ SHARPNESS = 6  # power of the barycentrics by which the corners of a face are bl
 LEAST = 0.03  # share of a blend below which a corner is left out
 SAME = 0.02  # difference of colours up to which two neighbours count as one piece
 BRIGHTNESS = 0.12  # difference that may be one of brightness; much larger ones are edges of the pattern
+FIXED = 1e3  # the same at a vertex whose texture is kept
 STAY = 0.003  # weight of not shifting colours at all
 
 
@@ -89,29 +91,42 @@ def patch_generator(
             flx.save(generator.target, painting, f"variation_{n}.glb")
     """
     check_asset("asset", asset)
-    check_kind("patches", patches or Patches(), Patches, "a flx.Patches")
-    check_kind("controls", controls or Controls(), Controls, "a flx.Controls")
-    patches, controls, seed = patches or Patches(), controls or Controls(), whole("seed", seed)
+    patches = Patches() if patches is None else patches
+    controls = Controls() if controls is None else controls
+    check_kind("patches", patches, Patches, "a flx.Patches")
+    check_kind("controls", controls, Controls, "a flx.Controls")
+    seed = whole("seed", seed)
     check_instant(controls)
     if target is None:
         target = read_shape(controls.mesh) if controls.mesh else asset
     check_asset("target", target)
-    mesh, kept = with_filled_gutters(asset.mesh), kept_texels(asset, controls)
+    mesh, kept, same = (
+        with_filled_gutters(asset.mesh),
+        kept_texels(asset, controls),
+        target.digest == asset.digest,
+    )
+    if kept and not same:
+        raise ValueError(f"a mask is one of {asset.path}; leave keep and fill out for another mesh")
     surface = Triangulation(target.mesh.vertices, target.mesh.faces)
     count = scaled_count(patches.vertices, asset, target, controls.scale)
-    triangulation = remesh(*surface, count, seed)
+    check_memory(FINER * max(count, patches.vertices))
+    try:
+        triangulation = remesh(*surface, count, seed)
+    except ValueError as fault:
+        raise ValueError(f"{target.path}: {fault} (--vertices)") from None
     held, free, damaged = None, None, None
     if kept:
         shares = kept_shares(mesh, kept, triangulation, SAMPLES)
-        held, free = Inpainting(kept, shares, Partial(len)), shares < HELD
+        held, free = Inpainting(kept, shares, None), shares < HELD
         if controls.fill:
+            faces = triangulation.faces
+            free = mark(count, faces[(shares < 1)[faces].any(1)])  # no damage is held, however small
             images = [np.zeros_like(image) for image in mesh.textures]
             images[kept.index][~kept.texels] = 255
             damaged = mesh.with_layer(images=tuple(images))
     # How much larger than in the input details are in the units of the files, which may not be the same.
     size = np.sqrt(face_areas(*surface).sum() / face_areas(mesh.vertices, mesh.faces).sum())
     scale = float(size * np.sqrt(patches.vertices / count))
-    same = target.digest == asset.digest
     synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same)
     return PatchGenerator(asset, target, mesh, synthesis, patches, held)
 
@@ -171,11 +186,26 @@ def painted(generator: PatchGenerator, canvases: Sequence[Canvas], anchors: Anch
         else:
             added = shifts if canvas.slot == "base_color" else np.zeros_like(shifts)
             made = bake(canvas, colors_from(generator, anchors, canvas.slot, added))
-        if generator.held and canvas.slot == "base_color":
-            made = restored(generator.held, canvas, made)
+        if generator.held:
+            made = (restored if canvas.slot == "base_color" else _put_back)(generator.held, canvas, made)
         maps.update(made.maps)
         colors = made.colors if len(made.colors) else colors
     return Painting(maps, colors)
+
+
+def _put_back(held: Inpainting, canvas: Canvas, painting: Painting) -> Painting:
+    """Another map with what is kept of it, where it has the texture coordinates of the base colours."""
+    mesh, slot = canvas.asset.mesh, canvas.slot
+    own, base = mesh.maps[slot], mesh.maps["base_color"]
+    if not np.array_equal(own.corner_uvs, base.corner_uvs):
+        return painting
+    images = list(painting.maps[slot])
+    for index in np.unique(own.face_images[base.face_images == held.kept.index]):
+        height, width = images[index].shape[:2]
+        texels = held.kept.at_size(height, width).texels[..., None]
+        before = resized(eight_bits(own.images[index]), height, width)
+        images[index] = np.where(texels, before, eight_bits(images[index]))
+    return painting._replace(maps={**painting.maps, slot: tuple(images)})
 
 
 def colors_from(
@@ -186,7 +216,7 @@ def colors_from(
 
     def colors(at: Int[Any, "n"], there: Anchors) -> Float32[Any, "n 3"]:
         points = transfer(source.points_at(there.vertices, there.offsets), source.triangulation, mesh)
-        return surface_colors(mesh, points, slot) + added[at]
+        return np.clip(surface_colors(mesh, points, slot) + added[at], 0, 1)
 
     return partial(_blended, generator, anchors, colors)
 
@@ -268,10 +298,11 @@ def color_shifts(synthesis: Synthesis, anchors: Anchors) -> Float32[Any, "V 3"]:
     size = np.abs(missing).max(1)
     same = size < SAME
     roots = np.sqrt(np.where(same, 1, np.exp(-((size / BRIGHTNESS) ** 2))))
-    wanted = np.where(same[:, None], 0, missing / 2) * roots[:, None]
+    wanted = np.where(same[:, None], 0, missing) * roots[:, None]
     edges, count = np.arange(len(work.p)), len(level.target)
     places = np.concatenate([edges, edges]), np.concatenate([work.p, work.q])
     differences = csr_array((np.concatenate([roots, -roots]), places), shape=(len(edges), count))
-    system = csc_array(differences.T @ differences + STAY * eye_array(count))
+    stay = np.where(synthesis.free, STAY, FIXED)  # what is kept has the colours that it had
+    system = csc_array(differences.T @ differences + diags_array(stay))
     shifts: Float64[Any, "V 3"] = splu(system).solve(differences.T @ wanted)
     return shifts.astype(np.float32)

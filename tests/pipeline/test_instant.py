@@ -1,6 +1,7 @@
 """Laws of textures without training: original texels, all maps in register, kept texels to the bit."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +14,14 @@ from scipy.ndimage import gaussian_filter
 
 import flx
 from flx.assets.arrays import from_arrays
-from flx.assets.asset import Asset, Texture
+from flx.assets.asset import Asset, Texture, own_painting
+from flx.assets.formats.glb import glb_bytes
+from flx.assets.formats.gltf import Gltf, append, append_view, read_gltf
+from flx.assets.formats.images import encode_png
+from flx.assets.read import read_with_maps
 from flx.commands.sample import Sample, sample
 from flx.config import Controls, Patches
+from flx.geometry.atlas import atlas_texels
 from flx.geometry.patchwork.anchors import Anchors
 from flx.geometry.patchwork.synthesis import own_places
 from flx.pipeline.instant import (
@@ -144,6 +150,29 @@ def test_kept_texels_are_the_same_bits_and_the_rest_is_new(tmp_path, option):
         assert places[:, 2].min() > -0.15, "the lowest corner of a face that is kept"
 
 
+def test_damage_smaller_than_a_ring_is_repaired(tmp_path):
+    image = BALL.mesh.textures[0]
+    dots = np.zeros(image.shape[:2], bool)
+    for row, column in ((40, 50), (64, 64), (80, 90), (64, 190)):
+        dots[row : row + 3, column : column + 3] = True
+    Image.fromarray(np.uint8(255) * dots).save(tmp_path / "dots.png")
+    generator = patch_generator(BALL, SMALL, controls=Controls(fill=tmp_path / "dots.png"))
+    new = next(patchworks(generator, count=1)).images[0]
+    assert (new[dots] != image[dots]).any(1).mean() > 0.9 and np.array_equal(new[~dots], image[~dots])
+
+
+def test_other_maps_are_kept_with_the_colours(tmp_path):
+    asset = sheet(normal=noise(64, 64, 5))
+    white = np.zeros((64, 64), np.uint8)
+    white[:32] = 255
+    Image.fromarray(white).save(tmp_path / "mask.png")
+    made = next(patchworks(patch_generator(asset, SMALL, controls=Controls(keep=tmp_path / "mask.png"))))
+    for slot in ("base_color", "normal"):
+        before = asset.mesh.maps[slot].images[0]
+        assert np.array_equal(made.maps[slot][0][:32], before[:32])
+        assert (made.maps[slot][0][34:] != before[34:]).mean() > 0.5
+
+
 def test_all_kept_is_the_input_and_nothing_kept_is_no_mask(tmp_path):
     for value, name in ((255, "all.png"), (0, "none.png")):
         Image.new("L", (256, 128), value).save(tmp_path / name)
@@ -192,6 +221,7 @@ def test_what_needs_training_is_refused(controls, message):
     ("wrong", "message"),
     [
         ({"vertices": 99}, "vertices is 99; give at least 100"),
+        ({"vertices": 200_001}, "vertices is 200001; give at most 200,000"),
         ({"coherence": -1.0}, "coherence is -1.0; give at least 0"),
         ({"guide": float("nan")}, "guide is nan; give a number of at least 0"),
     ],
@@ -200,6 +230,20 @@ def test_numbers_outside_their_range_are_refused(wrong, message):
     with pytest.raises(ValueError) as refusal:
         Patches(**wrong)
     assert str(refusal.value) == message
+
+
+def test_a_mesh_of_too_many_parts_is_refused_before_anything_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    parts = square_grid(2)
+    corners = np.concatenate([parts.vertices + np.array([3.0 * n, 0, 0]) for n in range(60)])
+    faces = np.concatenate([parts.faces + 4 * n for n in range(60)])
+    colors = np.random.default_rng(0).random(corners.shape)
+    many = from_arrays(corners, faces, colors=colors)
+    flx.save(many, own_painting(many), "many.ply")
+    with pytest.raises(ValueError, match=r"^many.ply: remeshing .* ask for more vertices \(--vertices\)$"):
+        options = {"instant": True, "format": "ply", "patches": Patches(vertices=100)}
+        sample(Sample(run=Path("many.ply"), **options))
+    assert not list(tmp_path.glob("runs/**/*.json"))
 
 
 def test_the_command_writes_all_and_says_how_large_the_pieces_are(tmp_path, monkeypatch):
@@ -215,12 +259,51 @@ def test_the_command_writes_all_and_says_how_large_the_pieces_are(tmp_path, monk
     assert flx.load(out / "variation_01.glb").mesh.textures[0].shape == (32, 64, 3)
 
 
+def test_all_maps_of_a_material_follow_in_register(tmp_path):
+    """Metal and roughness that are the colours backwards remain so; variants share them, and leave them."""
+    flx.save(BALL, own_painting(BALL), tmp_path / "plain.glb")
+    plain = read_gltf(tmp_path / "plain.glb")
+    document, views = json.loads(json.dumps(plain.document)), list(plain.views)
+    image = BALL.mesh.textures[0]
+    for slot, pixels in (("normal", noise(128, 256, 5)), ("metallic_roughness", image[..., ::-1])):
+        view = append_view(document, views, encode_png(np.ascontiguousarray(pixels), None))
+        number = append(document, "images", {"bufferView": view, "mimeType": "image/png"})
+        reference = {"index": append(document, "textures", {"source": number})}
+        material = document["materials"][0]
+        if slot == "normal":
+            material["normalTexture"] = reference
+        else:
+            material["pbrMetallicRoughness"]["metallicRoughnessTexture"] = reference
+    path = tmp_path / "ball.glb"
+    path.write_bytes(glb_bytes(Gltf(document, tuple(views))))
+    before = read_with_maps(path)
+    assert set(before.mesh.maps) == {"base_color", "normal", "metallic_roughness"}
+    options = {"run": path, "instant": True, "patches": SMALL, "viewer": False}
+    one = read_with_maps(sample(Sample(**options, count=1, out=tmp_path / "one")) / "variation_00.glb").mesh
+    color, metal, normal = (one.maps[s].images[0] for s in ("base_color", "metallic_roughness", "normal"))
+    shown = atlas_texels(one, 0, *color.shape[:2]).covered
+    assert np.abs(metal[..., ::-1].astype(int) - color)[shown].mean() < 3, "but for the shifts of colour"
+    assert np.abs(normal.astype(int) - before.mesh.maps["normal"].images[0])[shown].mean() > 20
+    out = sample(Sample(**options, count=1, variants=True, out=tmp_path / "both"))
+    kept = read_with_maps(out / "variants.glb").mesh.maps
+    for slot in ("normal", "metallic_roughness"):
+        assert np.array_equal(kept[slot].images[0], before.mesh.maps[slot].images[0])
+
+
 def test_a_mesh_without_instant_and_patches_without_a_mesh_are_refused(tmp_path, generator):
     with pytest.raises(ValueError) as refusal:
         sample(Sample(run=tmp_path / "bowl.glb"))
     where = tmp_path / "bowl.glb"
     remedy = f"add --instant to make textures without training, or train first: flx train {where}"
     assert str(refusal.value) == f"{where} is a mesh; {remedy}"
+    with pytest.raises(ValueError) as refusal:
+        sample(Sample(run=tmp_path, instant=True, steps=50))
+    assert str(refusal.value) == (
+        "there is no network to evaluate with --instant; leave out --steps and --sampler"
+    )
+    with pytest.raises(ValueError) as refusal:
+        sample(Sample(run=tmp_path, instant=True, seed=-1))
+    assert str(refusal.value) == "--seed is -1; give at least 0"
     with pytest.raises(ValueError) as refusal:
         sample(Sample(run=tmp_path, patches=Patches(coherence=2.0)))
     assert str(refusal.value) == "coherence is 2.0, which goes with --instant; add that"

@@ -83,20 +83,25 @@ class Surface:
         """
         frames, angle = self.frames, np.angle(logs.astype(complex)) % (2 * np.pi)
         place = np.maximum((self.angles[vertices] <= angle[:, None]).sum(1) - 1, 0)
-        outside = self.wedges[vertices, place] < 0  # behind the last edge of a boundary
-        corners = self.wedges[vertices, np.maximum(place - outside, 0)]
+        # Behind the last edge of a boundary: the nearest point of the nearer of its two edges.
+        outside = self.wedges[vertices, place] < 0
+        beyond = np.where(outside, angle - self.angles[vertices, place], 0)
+        first = outside & (2 * np.pi - angle < beyond)
+        beyond = np.where(first, 2 * np.pi - angle, beyond)
+        distance = np.abs(logs) * self.radius * np.maximum(np.cos(beyond), 0)
+        angle = np.where(first, 0, angle)
+        corners = self.wedges[vertices, np.where(first, 0, np.maximum(place - outside, 0))]
         face, i = np.divmod(corners, 3)
         opening = frames.corner_angles[face, i]
         flat = np.clip((angle - frames.corner_starts[face, i]) / frames.scales[vertices], 0, opening)
         sides = self.unfolding.corners[face] - self.unfolding.corners[face, i][:, None]
         rows = np.arange(len(face))
         first, second = np.abs(sides[rows, (i + 1) % 3]), np.abs(sides[rows, (i + 2) % 3])
-        distance = np.abs(logs) * self.radius
         along = distance * np.sin(flat) / np.maximum(second * np.sin(opening), 1e-300)
         ahead = np.maximum((distance * np.cos(flat) - along * second * np.cos(opening)) / first, 0)
-        beyond = np.maximum(along + ahead, 1)
+        excess = np.maximum(along + ahead, 1)
         barycentrics = np.zeros((len(face), 3))
-        barycentrics[rows, (i + 1) % 3], barycentrics[rows, (i + 2) % 3] = ahead / beyond, along / beyond
+        barycentrics[rows, (i + 1) % 3], barycentrics[rows, (i + 2) % 3] = ahead / excess, along / excess
         barycentrics[rows, i] = 1 - barycentrics.sum(1)
         return SurfacePoints(face, barycentrics)
 

@@ -22,6 +22,7 @@ VALUES = 4  # of a sample: three colours and their spread
 REACH = 3.5  # radius of a chart in edges of the target
 EDGE = 1.9046  # mean vertex radii in an edge, were all triangles equilateral: √(2π / √3)
 START = 0.25  # mean vertex radii between a vertex and the place where walks from it begin
+LEAST = 10  # vertices of a source that can be used
 BEYOND = 2.0  # mean vertex radii from the nearest vertex from which a point is beyond a border
 GUARD = 3  # rings around damage that are not used either: texels are looked up that far from anchors
 SAMPLES = 24  # colours averaged in a one-ring
@@ -51,19 +52,23 @@ class Source:
         reach: float,
         seed: int,
         damaged: TexturedMesh | None = None,
+        finest: bool = True,
     ) -> None:
         """`reach`: radius of the charts in the surface's mean vertex radii.
 
-        `damaged` is the mesh with white texels where nothing may be taken from, black ones elsewhere.
+        `damaged` is the mesh with white texels where nothing may be taken from, black ones elsewhere. At the
+        finest level not one is; coarser ones only decide what the finest begins with.
+
+        Raises ValueError where nothing is left.
         """
         self.surface = surface
         self.usable: Bool[Any, V] = np.ones(len(surface), bool)
         if damaged is not None:
-            white = sample_rings(damaged, surface.triangulation, SAMPLES, seed).colors[..., 0] > 0.5
-            self.usable &= ~white.any(1)
-            for _ in range(GUARD):
+            white = (sample_rings(damaged, surface.triangulation, SAMPLES, seed).colors[..., 0] > 0.5).mean(1)
+            self.usable &= white <= (0 if finest else 0.5)
+            for _ in range(GUARD if finest else 0):
                 self.usable &= self.usable[surface.rings.neighbors].all(1)
-            if not self.usable.any():
+            if self.usable.sum() < LEAST:
                 raise ValueError("nothing of the texture is left to take pieces from; mark less as damaged")
         colors = sample_rings(mesh, surface.triangulation, SAMPLES, seed).colors.astype(np.float32)
         mean = colors.mean(1)

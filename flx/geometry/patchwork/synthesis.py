@@ -122,13 +122,13 @@ def prepare(
         try:
             target = triangulation if last else remesh(surface.vertices, surface.faces, count, seed + number)
             copy = remesh(mesh.vertices, mesh.faces, round(FINER * count * ratio), seed + 1000 + number)
+            target, copy = Surface(target), Surface(copy)
+            step = target.radius / scale / copy.radius
+            source = Source(mesh, copy, REACH * EDGE * step, seed + number, damaged, last)
         except ValueError:
             if last:
                 raise
             continue
-        target, copy = Surface(target), Surface(copy)
-        step = target.radius / scale / copy.radius
-        source = Source(mesh, copy, REACH * EDGE * step, seed + number, damaged)
         rng = np.random.default_rng([seed, number])
         if parts is None:
             parts = copy.triangulation.vertices[rng.permutation(len(copy))[:PARTS]]
@@ -166,7 +166,7 @@ def curvature(surface: Surface) -> Float32[Any, "V"]:
 
 
 def synthesize(
-    synthesis: Synthesis, seed: int | list[int], coherence: float = 1.0, guide: float = 0.0
+    synthesis: Synthesis, seed: int | list[int], coherence: float = 1.0, guide: float = 1.0
 ) -> Anchors:
     """Anchors at the vertices of the finest target. The same seed gives the same bits on the same machine.
 
@@ -313,11 +313,11 @@ class Pieces(NamedTuple):
     count: int
     largest: float  # share of the surface
     mean: float  # size of the piece of a point, averaged over the surface
-    copied: float  # share of the surface that comes from its own place, unturned
+    copied: float | None  # share of the surface that comes from its own place, unturned; None on another
 
 
 def pieces(synthesis: Synthesis, anchors: Anchors) -> Pieces:
-    """The pieces of a result; `copied` means nothing for another surface."""
+    """The pieces of a result."""
     level = synthesis.levels[-1]
     of = Patchwork(level.source, level.target, anchors, level.step, synthesis.free).pieces()
     masses = level.target.frames.masses / level.target.frames.masses.sum()
@@ -325,4 +325,5 @@ def pieces(synthesis: Synthesis, anchors: Anchors) -> Pieces:
     positions, directions = placed(level.source.surface, anchors)
     near = np.linalg.norm(positions - level.target.positions, axis=1) < NEAR * EDGE * level.target.radius
     same = near & ((directions * level.target.x_axes).sum(1) > 0.9)
-    return Pieces(len(sizes), float(sizes.max()), float((sizes**2).sum()), float(masses[same].sum()))
+    copied = float(masses[same].sum()) if level.same else None
+    return Pieces(len(sizes), float(sizes.max()), float((sizes**2).sum()), copied)

@@ -49,6 +49,18 @@ def test_a_point_beyond_the_ring_is_moved_to_its_border():
     assert np.isfinite(place).all() and np.linalg.norm(place - GRID.triangulation.vertices[centre]) < 0.15
 
 
+def test_beyond_an_open_border_the_nearer_edge_is_taken():
+    """In the middle of a side of a flat sheet, whose frame begins at one of the two edges."""
+    vertex, length = 6, np.float32(1 / 11 / GRID.radius)
+    first = GRID.frames.neighbors[vertex, 0]
+    last = [n for n in GRID.frames.neighbors[vertex] if n >= 0][-1]
+    for angle, toward in ((-0.2, first), (np.pi + 0.2, last)):
+        log = length * np.exp(1j * np.array([angle])).astype(np.complex64)
+        place = positions(*GRID.triangulation, GRID.points_at(np.array([vertex]), log))[0]
+        along = GRID.positions[toward] - GRID.positions[vertex]
+        assert np.abs(place - GRID.positions[vertex] - np.cos(0.2) * along).max() < 1e-5
+
+
 @given(seed=st.integers(0, 1000))
 def test_settling_keeps_the_place_and_the_direction(seed):
     """On a flat sheet, where space shows both exactly."""
