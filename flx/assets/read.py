@@ -50,19 +50,19 @@ def read_asset(
         return assemble(path, contents, texture, slots)
 
 
-def read_with_maps(path: Path) -> Asset:
+def read_with_maps(path: Path, texture: Path | None = None) -> Asset:
     """`read_asset` with all maps of a glTF or GLB; those that cannot be read are left out, as stderr says."""
-    asset = read_asset(path)
+    asset = read_asset(path, texture)
     if not isinstance(asset.container, Gltf):
         return asset
     others: list[Slot] = [s for s in SLOTS if s != "base_color" and asset.map_names.get(s)]
     try:
-        return read_asset(path, slots=others)
+        return read_asset(path, texture, others)
     except (OSError, ValueError):
         readable: list[Slot] = []  # find out which
     for slot in others:
         try:
-            asset = read_asset(path, slots=[*readable, slot])
+            asset = read_asset(path, texture, [*readable, slot])
         except (OSError, ValueError) as fault:
             print(f"{fault}; its {slot} map stays as it is", file=sys.stderr)
         else:

@@ -30,6 +30,8 @@ class Sample:
     # nothing for the vase that flx makes itself
     run: Positional[Path | None] = None
     instant: bool = False  # pieces of the input's own texture: no training, all maps of the material
+    # with --instant: an image to use instead of the mesh file's own, or where it has none
+    texture: Path | None = None
     count: int = 4  # number of variations
     seed: int = 0  # variation n depends on the seed and n alone
     # folder to write to; else RUN/samples, with the options in its name that are not the usual ones
@@ -100,7 +102,7 @@ def sample(options: Sample) -> Path:
         **plan.made_by,
         **{
             f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-            for name, path in read.items()
+            for name, path in {**read, "texture": options.texture}.items()
             if path
         },
     }
@@ -183,6 +185,8 @@ def learnt_plan(options: Sample) -> Plan:
     if options.patches != Patches():
         odd = next(f.name for f in fields(Patches) if getattr(options.patches, f.name) != f.default)
         raise ValueError(f"{odd} is {getattr(options.patches, odd)}, which goes with --instant; add that")
+    if options.texture is not None:
+        raise ValueError(f"texture {options.texture} goes with --instant and a mesh file; leave it out")
     if options.run is None:
         raise ValueError(
             "there is no RUN; name a run folder of `flx train`, or add --instant for the vase of flx"
@@ -237,6 +241,8 @@ def instant_plan(options: Sample) -> Plan:
     from flx.training.load import load_generator
 
     check_instant(options.controls)
+    if options.texture and (options.run is None or options.run.is_dir()):
+        raise ValueError(f"texture {options.texture} goes with a mesh file; name one, or leave it out")
     if options.steps != STEPS or options.sampler != "dpm":
         raise ValueError("there is no network to evaluate with --instant; leave out --steps and --sampler")
     up: Literal["y", "z"] = "y"
@@ -245,7 +251,7 @@ def instant_plan(options: Sample) -> Plan:
     elif options.run.suffix.lower() in {*READERS, *OTHERS}:
         # Variants of a file share its other maps, so these stay as they are.
         maps = not options.variants and options.format == "glb"
-        own = read_with_maps(options.run) if maps else read_asset(options.run)
+        own = (read_with_maps if maps else read_asset)(options.run, options.texture)
         usual = Path("runs", f"{options.run.stem}-instant")
     else:
         generator = load_generator(options.run)

@@ -232,6 +232,14 @@ def test_numbers_outside_their_range_are_refused(wrong, message):
     assert str(refusal.value) == message
 
 
+def test_an_image_may_replace_the_texture(tmp_path):
+    flx.save(BALL, own_painting(BALL), tmp_path / "ball.glb")
+    Image.new("RGB", (64, 32), (200, 30, 60)).save(tmp_path / "red.png")
+    options = {"texture": tmp_path / "red.png", "patches": SMALL, "viewer": False, "out": tmp_path / "out"}
+    out = sample(Sample(run=tmp_path / "ball.glb", instant=True, count=1, **options))
+    assert (flx.load(out / "variation_00.glb").mesh.textures[0] == (200, 30, 60)).all()
+
+
 def test_a_mesh_of_too_many_parts_is_refused_before_anything_is_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     parts = square_grid(2)
@@ -296,6 +304,9 @@ def test_a_mesh_without_instant_and_patches_without_a_mesh_are_refused(tmp_path,
     where = tmp_path / "bowl.glb"
     remedy = f"add --instant to make textures without training, or train first: flx train {where}"
     assert str(refusal.value) == f"{where} is a mesh; {remedy}"
+    with pytest.raises(ValueError) as refusal:
+        sample(Sample(run=tmp_path, texture=Path("a.png")))
+    assert str(refusal.value) == "texture a.png goes with --instant and a mesh file; leave it out"
     with pytest.raises(ValueError) as refusal:
         sample(Sample(run=tmp_path, instant=True, steps=50))
     assert str(refusal.value) == (
