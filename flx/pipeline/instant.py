@@ -31,15 +31,15 @@ from flx.geometry.sampling import face_normals, surface_colors, transfer
 from flx.pipeline.canvas import Canvas, bake, check_size, open_canvas
 from flx.pipeline.inpainting import HELD, Inpainting, kept_shares, kept_texels, restored
 from flx.pipeline.transfer import scaled_count
-from flx.types import SLOTS, Queries, Slot, TexturedMesh, Triangulation
+from flx.types import SLOTS, Queries, Slot, SurfacePoints, TexturedMesh, Triangulation
 
 SAMPLES = 64  # points of a one-ring that say whether it is kept
 SHARPNESS = 6  # power of the barycentrics by which the corners of a face are blended
 LEAST = 0.03  # share of a blend below which a corner is left out
 SAME = 0.02  # difference of colours up to which two neighbours count as one piece
 BRIGHTNESS = 0.12  # difference that may be one of brightness; much larger ones are edges of the pattern
-FIXED = 1e3  # the same at a vertex whose texture is kept
 STAY = 0.003  # weight of not shifting colours at all
+FIXED = 1e3  # the same at a vertex whose texture is kept
 
 
 @dataclass(frozen=True)
@@ -100,11 +100,8 @@ def patch_generator(
     if target is None:
         target = read_shape(controls.mesh) if controls.mesh else asset
     check_asset("target", target)
-    mesh, kept, same = (
-        with_filled_gutters(asset.mesh),
-        kept_texels(asset, controls),
-        target.digest == asset.digest,
-    )
+    mesh, kept = with_filled_gutters(asset.mesh), kept_texels(asset, controls)
+    same = target.digest == asset.digest
     if kept and not same:
         raise ValueError(f"a mask is one of {asset.path}; leave keep and fill out for another mesh")
     surface = Triangulation(target.mesh.vertices, target.mesh.faces)
@@ -212,11 +209,9 @@ def colors_from(
     generator: PatchGenerator, anchors: Anchors, slot: Slot, added: Float32[Any, "V 3"]
 ) -> Callable[[Queries], Float32[Any, "P 3"]]:
     """A painter: what a map of the source has where the anchors lead, and what is added at each vertex."""
-    source, mesh = generator.synthesis.levels[-1].source.surface, generator.mesh
 
-    def colors(at: Int[Any, "n"], there: Anchors) -> Float32[Any, "n 3"]:
-        points = transfer(source.points_at(there.vertices, there.offsets), source.triangulation, mesh)
-        return np.clip(surface_colors(mesh, points, slot) + added[at], 0, 1)
+    def colors(at: Int[Any, "n"], _: Anchors, points: SurfacePoints) -> Float32[Any, "n 3"]:
+        return np.clip(surface_colors(generator.mesh, points, slot) + added[at], 0, 1)
 
     return partial(_blended, generator, anchors, colors)
 
@@ -227,8 +222,7 @@ def normals_from(generator: PatchGenerator, anchors: Anchors) -> Callable[[Queri
     source, target = level.source.surface, level.target
     right, up = tangent_axes(mesh)
 
-    def leaning(at: Int[Any, "n"], there: Anchors) -> Float32[Any, "n 3"]:
-        points = transfer(source.points_at(there.vertices, there.offsets), source.triangulation, mesh)
+    def leaning(at: Int[Any, "n"], there: Anchors, points: SurfacePoints) -> Float32[Any, "n 3"]:
         mapped = 2 * surface_colors(mesh, points, "normal") - 1
         lean = mapped[:, :1] * right[points.faces] + mapped[:, 1:2] * up[points.faces]
         x, y = source.x_axes[there.vertices], source.y_axes[there.vertices]
@@ -242,11 +236,12 @@ def normals_from(generator: PatchGenerator, anchors: Anchors) -> Callable[[Queri
 def _blended(
     generator: PatchGenerator,
     anchors: Anchors,
-    values: Callable[[Int[Any, "n"], Anchors], Float32[Any, "n 3"]],
+    values: Callable[[Int[Any, "n"], Anchors, SurfacePoints], Float32[Any, "n 3"]],
     queries: Queries,
 ) -> Float32[Any, "P 3"]:
     """Values where the three corners of each point's face lead, sharply blended."""
     level = generator.synthesis.levels[-1]
+    source = level.source.surface
     weights = np.asarray(queries.barycentrics) ** SHARPNESS
     weights /= weights.sum(1, keepdims=True)
     weights[weights < LEAST] = 0
@@ -255,10 +250,10 @@ def _blended(
     for corner in range(3):
         rows = np.flatnonzero(weights[:, corner])
         at = queries.vertices[rows, corner]
-        of = anchors.at(at)
-        offsets = of.offsets + of.turns * queries.logs[rows, corner] * np.float32(level.step)
-        there = settled(level.source.surface, of._replace(offsets=offsets))
-        blend[rows] += weights[rows, corner, None] * values(at, there)
+        there = settled(source, anchors.at(at).moved(queries.logs[rows, corner], level.step))
+        points = source.points_at(there.vertices, there.offsets)
+        points = transfer(points, source.triangulation, generator.mesh)
+        blend[rows] += weights[rows, corner, None] * values(at, there, points)
     return blend
 
 

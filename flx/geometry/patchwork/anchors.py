@@ -116,17 +116,21 @@ class Anchors(NamedTuple):
     def at(self, rows: Any) -> "Anchors":
         return Anchors(*(part[rows] for part in self))
 
+    def moved(self, logs: Complex64[Any, "*N"], step: float) -> "Anchors":
+        """Anchors of the points with these logs, in the same pieces; `step` as in `predicted`."""
+        return self._replace(offsets=self.offsets + self.turns * logs * np.float32(step))
+
     def put(self, rows: Any, others: "Anchors") -> None:
         """Replace some, in place."""
         for part, new in zip(self, others, strict=True):
             part[rows] = new
 
 
-def settled(source: Surface, anchors: Anchors, hops: int = HOPS) -> Anchors:
+def settled(source: Surface, anchors: Anchors) -> Anchors:
     """The same anchors, each at the vertex nearest to where its offset leads."""
     vertices, offsets, turns = (np.array(part).ravel() for part in anchors)
     active = np.flatnonzero(_squared(offsets) > source.certain[vertices])
-    for _ in range(hops):
+    for _ in range(HOPS):
         here = vertices[active]
         slot = _squared(offsets[active, None] - source.reachable[here]).argmin(1)
         active, here, slot = active[slot > 0], here[slot > 0], slot[slot > 0]

@@ -143,6 +143,5 @@ def views(target: Surface, reach: float) -> Views:
 
 def seen(source: Source, view: Views, anchors: Anchors, step: float, rows: Int[Any, "n"]) -> Charts:
     """The charts that some vertices of a target have, if its texture comes from these anchors."""
-    of, logs = anchors.at(view.owners[rows]), view.logs[rows]
-    offsets = of.offsets + of.turns * logs * np.float32(step)
-    return source.look(of._replace(offsets=offsets)) * ROOTS
+    there = anchors.at(view.owners[rows]).moved(view.logs[rows], step)
+    return source.look(there) * ROOTS

@@ -8,6 +8,7 @@ than what was there before.
 """
 
 from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -55,11 +56,15 @@ class Patchwork:
         """
         self.misfit = misfit or (lambda _, rows: np.zeros(len(rows), np.float32))
         self.source, self.target, self.anchors, self.step, self.free = source, target, anchors, step, free
-        self.shown = self.along(anchors, np.arange(len(target)))  # [V, K, 3, 4]
         p, slot = np.nonzero(target.used)
         self.p, self.slot = p[slot > 0], slot[slot > 0]
         self.q = target.rings.neighbors[self.p, self.slot]
         self.back = target.rings.reverse[self.p, self.slot]
+
+    @cached_property
+    def shown(self) -> Float32[Any, "V K 3 4"]:
+        """What the anchors of all vertices say, kept up to date by `grow`."""
+        return self.along(self.anchors, np.arange(len(self.target)))
 
     def along(self, anchors: Anchors, rows: Int[Any, "n"]) -> Float32[Any, "n K 3 4"]:
         """What the anchors of some rows say of the points along their edges."""
@@ -128,14 +133,14 @@ class Patchwork:
             positions.reshape(-1, 3), directions.reshape(-1, 3), normals.reshape(-1, 3), source
         )
         edge = EDGE * self.target.radius * self.scale
-        for row, start in zip(rows, range(0, positions.shape[0] * CHOICE, CHOICE), strict=True):
+        for number, row in enumerate(rows):
             taken = [placed(source, self.anchors.at(row))[0]]
             chosen = []
-            for place, position in enumerate(positions[start // CHOICE]):
+            for place, position in enumerate(positions[number]):
                 apart = [np.linalg.norm(position - other) for other in taken]
                 if min(apart) > 2 * edge and len(chosen) < TRIES:
                     taken.append(position)
-                    chosen.append(converted.at(start + place))
+                    chosen.append(converted.at(number * CHOICE + place))
             yield chosen
 
     def grow(self, members: Int[Any, "n"], start: Anchors | None = None) -> Int[Any, "m"]:

@@ -101,8 +101,8 @@ def support(
     """
     positions, directions = placed(source, candidates)
     positions = positions / np.float32(APART * edge * source.radius)
-    squares = np.einsum("nkx,nkx->nk", positions - positions[:, :1], positions - positions[:, :1])
     centred = positions - positions[:, :1]
+    squares = np.einsum("nkx,nkx->nk", centred, centred)
     apart = squares[:, :, None] + squares[:, None] - 2 * centred @ centred.transpose(0, 2, 1)
     agree = (apart < 1) & (directions @ directions.transpose(0, 2, 1) > ALIKE) & counted[:, None]
     others = np.maximum(counted[:, 1:].sum(1), 1)

@@ -255,9 +255,13 @@ def _staying(level: Level, anchors: Anchors, rows: Int[Any, "..."]) -> Float32[A
     """The cost of anchors that lead to the place that their row is at."""
     if not level.same:
         return np.zeros(anchors.vertices.shape, np.float32)
-    away = placed(level.source.surface, anchors)[0] - level.target.positions[rows]
-    near = np.square(away).sum(-1) < (NEAR * EDGE * level.target.radius) ** 2
-    return np.float32(STAYING) * near
+    return np.float32(STAYING) * _near(level, placed(level.source.surface, anchors)[0], rows)
+
+
+def _near(level: Level, positions: Any, rows: Int[Any, "..."]) -> Bool[Any, "..."]:
+    """Which positions are close to where their rows are."""
+    away = positions - level.target.positions[rows]
+    return np.square(away).sum(-1) < (NEAR * EDGE * level.target.radius) ** 2
 
 
 def _spread(charts: Charts) -> np.float32:
@@ -274,7 +278,7 @@ def _refined(coarse: Level, fine: Level, anchors: Anchors) -> Anchors:
     logs = corner_logs(before.frames, before.triangulation, *hits)[each, nearest].astype(np.complex64)
     turn = turned_frames(target, each, before, owners)
     of = anchors.at(owners)
-    there = Anchors(of.vertices, of.offsets + of.turns * logs * np.float32(coarse.step), of.turns * turn)
+    there = of.moved(logs, coarse.step)._replace(turns=of.turns * turn)
     there = settled(coarse.source.surface, there)
     normals = outward(coarse.source.surface, there.vertices)
     return nearest_anchors(*placed(coarse.source.surface, there), normals, fine.source.surface)
@@ -323,7 +327,7 @@ def pieces(synthesis: Synthesis, anchors: Anchors) -> Pieces:
     masses = level.target.frames.masses / level.target.frames.masses.sum()
     sizes = np.bincount(of, masses)
     positions, directions = placed(level.source.surface, anchors)
-    near = np.linalg.norm(positions - level.target.positions, axis=1) < NEAR * EDGE * level.target.radius
+    near = _near(level, positions, np.arange(len(positions)))
     same = near & ((directions * level.target.x_axes).sum(1) > 0.9)
     copied = float(masses[same].sum()) if level.same else None
     return Pieces(len(sizes), float(sizes.max()), float((sizes**2).sum()), copied)
