@@ -32,18 +32,8 @@ if TYPE_CHECKING:
     from flx.assets.vase import vase_asset as vase
     from flx.assets.write import write as save
     from flx.commands.train import learn as train
-    from flx.config import (
-        FLDM,
-        FLVAE,
-        Controls,
-        FLDMExperiment,
-        FLVAEExperiment,
-        Images,
-        Patches,
-        Surface,
-        Train,
-        quick,
-    )
+    from flx.config import FLDM, FLVAE, FLDMExperiment, FLVAEExperiment, Images, Surface, Train, quick
+    from flx.controls import Controls, Patches
     from flx.evaluation.fidelity import fidelity
     from flx.pipeline.canvas import paint, picture
     from flx.pipeline.codec import load_codec
@@ -75,18 +65,17 @@ _HOME = {
     "patchworks": "pipeline.instant",
     **dict.fromkeys(
         (
-            "Controls",
             "FLDM",
             "FLVAE",
             "FLDMExperiment",
             "FLVAEExperiment",
             "Images",
-            "Patches",
             "Surface",
             "Train",
         ),
         "config",
     ),
+    **dict.fromkeys(("Controls", "Patches"), "controls"),
 }
 
 __all__ = ["__version__", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]

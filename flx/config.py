@@ -12,7 +12,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from flx.arguments import check_kind, number, path_of, whole
+from flx.arguments import check_kind, number, whole
 
 Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
@@ -39,7 +39,7 @@ MOST_LAYERS, MOST_OTHER = 100, 1 << 20
 LAYERS = ("depth", "layers", "decoder_layers", "vn_layers")
 
 
-def _check(part: str, values: object, **least: int | float) -> None:
+def check_all(part: str, values: object, **least: int | float) -> None:
     """Raises ValueError for a word that its field does not know, for what is no number or no text where one
     is needed, and for a number out of its range."""
     for name, kind in get_type_hints(type(values)).items():
@@ -84,8 +84,10 @@ class FLVAE:
     precision: Precision = "bfloat16"  # inputs of the matrix products; sums are float32
 
     def __post_init__(self) -> None:
-        _check("model", self, channels=1, layers=0, heads=1, latents=1, invariants=0, samples=1)
-        _check("model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=1, sharpness=1)
+        check_all("model", self, channels=1, layers=0, heads=1, latents=1, invariants=0, samples=1)
+        check_all(
+            "model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=1, sharpness=1
+        )
         invariants, vectors = self.invariants, self.latents - self.invariants
         if self.encoder == "transformer" and invariants:
             raise ValueError(f"model.invariants is {invariants}; make it 0, since the transformer has none")
@@ -129,8 +131,12 @@ class FLDM:
     precision: Precision = "bfloat16"
 
     def __post_init__(self) -> None:
-        _check("model", self, channels=1, filter_width=1, vn_layers=1, embedding=4, conditions=0, steps=1)
-        _check("model", self, beta_start=0, beta_end=0, emphasis=0, label_dropout=0, direction_dropout=0)
+        check_all(
+            "model", self, channels=1, filter_width=1, vn_layers=1, embedding=4, conditions=0, steps=1
+        )
+        check_all(
+            "model", self, beta_start=0, beta_end=0, emphasis=0, label_dropout=0, direction_dropout=0
+        )
         for name in ("label_dropout", "direction_dropout"):
             if getattr(self, name) > 1:
                 raise ValueError(f"model.{name} is {getattr(self, name)}; give a probability, 0 to 1")
@@ -165,7 +171,7 @@ class Surface:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _check("surface", self, vertices=4, copies=1, slots=4, seed=0)
+        check_all("surface", self, vertices=4, copies=1, slots=4, seed=0)
 
 
 @dataclass(frozen=True)
@@ -180,8 +186,8 @@ class Images:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _check("images", self, prints=0, queries=1, smallest=0.1, seed=0)
-        _check("images", self, largest=self.smallest)
+        check_all("images", self, prints=0, queries=1, smallest=0.1, seed=0)
+        check_all("images", self, largest=self.smallest)
 
 
 @dataclass(frozen=True)
@@ -201,8 +207,8 @@ class Train:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _check("train", self, steps=1, batch=1, warmup=0, checkpoint_every=1, log_every=1, seed=0)
-        _check("train", self, learning_rate=0, final_learning_rate=0, clip=0, ema=0)
+        check_all("train", self, steps=1, batch=1, warmup=0, checkpoint_every=1, log_every=1, seed=0)
+        check_all("train", self, learning_rate=0, final_learning_rate=0, clip=0, ema=0)
         if self.ema >= 1:
             raise ValueError(f"train.ema is {self.ema}; give less than 1, for weights that follow")
 
@@ -231,57 +237,6 @@ class FLDMExperiment:
 
 
 Experiment = FLVAEExperiment | FLDMExperiment
-
-
-@dataclass(frozen=True)
-class Controls:
-    """What guides new textures; by default nothing does."""
-
-    strength: float = 1.0  # how far from the input: 0.3 changes details, 1 makes everything new
-    keep: Path | None = None  # a mask as large as the texture: what is white stays as it is, to the bit
-    fill: Path | None = None  # the same the other way round: what is white becomes new
-    mesh: Path | None = None  # another mesh file to paint; it needs no texture
-    scale: float = 1.0  # size of details: 2 makes them twice as large, 0.5 half as large
-    labels: Path | None = None  # what goes where: an image of the learnt labels, on the UVs of the mesh
-    # which way the texture runs, for a run that learnt it: x, y, z, curvature, or a JSON file of strokes
-    direction: str | None = None
-    rotate: float = 0.0  # degrees by which the direction is turned, counter-clockwise seen from outside
-    # weight of labels and direction: 0 ignores them, 1 follows them, more exaggerates
-    guidance: float = 1.0
-
-    def __post_init__(self) -> None:
-        _check("controls", self, guidance=0)
-        for name in ("keep", "fill", "mesh", "labels"):
-            if (path := getattr(self, name)) is not None:
-                object.__setattr__(self, name, path_of(name, path, "the name of a file"))
-        if self.direction is not None:
-            given = path_of("direction", self.direction, "x, y, z, curvature, or a JSON file of strokes")
-            object.__setattr__(self, "direction", str(given))
-        if self.keep and self.fill:
-            raise ValueError(f"keep is {self.keep} and fill {self.fill}; give one, each says what both would")
-        if not 0 < self.scale < float("inf"):
-            raise ValueError(f"scale is {self.scale}; give a number more than 0, such as 2")
-        if self.mesh is not None and self.strength < 1:
-            raise ValueError(f"strength is {self.strength}; leave it out for another mesh, {self.mesh}")
-        if self.mesh is not None and (mask := self.keep or self.fill):
-            raise ValueError(f"mask {mask} is one of the learnt texture; leave it out for another mesh")
-        if not 0 < self.strength <= 1:
-            raise ValueError(f"strength is {self.strength}; give more than 0 and at most 1")
-
-
-@dataclass(frozen=True)
-class Patches:
-    """How textures are made of pieces of the input, without training."""
-
-    vertices: int = 5000  # points of the surface where pieces may begin and end
-    coherence: float = 1.0  # size of the pieces: 0 chooses at each point alone, more makes them larger
-    guide: float = 1.0  # how much rims come from rims and hollows from hollows; 0 does not care
-
-    def __post_init__(self) -> None:
-        if whole("vertices", self.vertices, 100) > 200_000:
-            raise ValueError(f"vertices is {self.vertices}; give at most 200,000")
-        for name in ("coherence", "guide"):
-            object.__setattr__(self, name, number(name, getattr(self, name), 0))
 
 
 @dataclass(frozen=True)

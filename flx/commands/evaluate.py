@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from flx.commands.stages import Stages
 from flx.config import STEPS, Comparison, Sampler
+from flx.controls import Controls, Patches
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,7 @@ class Evaluate(Comparison):
 
     flx evaluate runs/demo                                makes variations of a run and judges them
     flx evaluate INPUT.glb --samples A.glb B.glb          judges any meshes against an input
+    flx evaluate INPUT.glb --instant                      makes variations without training and judges them
     flx evaluate --reconstruction bowl.glb --out table    measures codecs: table.json and table.md
     """
 
@@ -25,9 +27,12 @@ class Evaluate(Comparison):
     count: int = 4  # variations that the run makes
     steps: int = STEPS  # evaluations of the network for each
     sampler: Sampler = "dpm"  # as of `flx sample`
+    invention: float | None = None  # as of `flx sample`: 1 is the network alone
+    # variations without training, of a mesh file, of a run, or of the vase that flx makes itself
+    instant: bool = False
 
     def __call__(self) -> None:
-        if self.source is None:
+        if self.source is None and not self.instant:
             from flx.evaluation.reconstruction import markdown, reconstruction_table
 
             print(markdown(reconstruction_table(self)), end="")
@@ -35,21 +40,25 @@ class Evaluate(Comparison):
             print(judge(self, self.source))
 
 
-def judge(options: Evaluate, source: Path) -> Path:
-    """Write the page and the numbers; return the page.
+def judge(options: Evaluate, source: Path | None) -> Path:
+    """Write the page and the numbers; return the page. Without a source it is the vase of flx.
 
     Raises ValueError for what cannot be read, and for a mesh file without samples.
     """
     from flx.assets.read import read_asset
+    from flx.assets.vase import vase_asset
     from flx.evaluation.controls import controls
     from flx.evaluation.report import page
     from flx.evaluation.samples import judge_samples
     from flx.files import write_atomically
     from flx.geometry.render import contact_sheet, render
     from flx.pipeline.canvas import VIEWS, check_size, shown
+    from flx.pipeline.instant import patch_generator, patchworks
     from flx.pipeline.variations import generate, reconstruct
     from flx.training.load import load_generator
 
+    if options.instant and (options.samples or options.invention is not None):
+        raise ValueError("--instant makes its samples without a network; leave out --samples and --invention")
     if options.reconstruction:
         raise ValueError(f"give {source} or --reconstruction, not both: they measure different things")
     if options.count < 1 or options.steps < 1:
@@ -60,20 +69,30 @@ def judge(options: Evaluate, source: Path) -> Path:
         raise ValueError("two files of --samples have the same name; rename one: rows are named after files")
     stage = Stages(2 if options.samples else 3)
     samples = {path.stem: read_asset(path).mesh for path in options.samples}
-    if source.is_dir() or source.suffix == ".safetensors":
+    generator, folder, made = None, Path("evaluation"), None
+    if source and (source.is_dir() or source.suffix == ".safetensors"):
         generator = load_generator(source)
         asset, up = generator.asset, generator.experiment.surface.up
         folder = (source if source.is_dir() else source.parent) / "evaluation"
         if not samples:
-            rules = (options.count, options.seed, options.steps, options.sampler, size)
-            stage(f"making {options.count} variations")
-            made = tqdm(generate(generator, *rules), "variations", options.count, dynamic_ncols=True)
-            samples = {f"sample {n}": shown(asset, painting) for n, painting in enumerate(made)}
             others["codec"] = shown(asset, reconstruct(generator, size))
-    elif samples:
-        asset, folder = read_asset(source), Path("evaluation")
     else:
-        raise ValueError(f"{source} is a mesh; name the meshes to judge after --samples, or give a run")
+        asset = read_asset(source) if source else vase_asset()
+    if options.instant:
+        vertices = len(generator.home.triangulation.vertices) if generator else Patches().vertices
+        patches = patch_generator(asset, Patches(vertices=vertices))
+        made = patchworks(patches, options.count, options.seed, size, None)
+    elif generator and not samples:
+        rules = (options.count, options.seed, options.steps, options.sampler, size)
+        made = generate(generator, *rules, controls=Controls(invention=options.invention), workers=None)
+    elif not samples:
+        raise ValueError(
+            f"{source} is a mesh; name the meshes to judge after --samples, add --instant, or give a run"
+        )
+    if made:
+        stage(f"making {options.count} variations")
+        made = tqdm(made, "variations", options.count, dynamic_ncols=True)
+        samples = {f"sample {n}": shown(asset, painting) for n, painting in enumerate(made)}
     others |= controls(asset.mesh, options.seed)
     stage(f"judging {len(samples)} samples and {len(others)} controls")
     rows = judge_samples(asset.mesh, samples, others, options.seed)
@@ -83,7 +102,9 @@ def judge(options: Evaluate, source: Path) -> Path:
         [render(mesh, azimuth=a, elevation=e, size=256, up=up) for mesh in meshes.values()] for a, e in VIEWS
     ]
     record = {
-        "source": str(source),
+        "source": str(source or "the vase of flx"),
+        "instant": options.instant,
+        "invention": None if options.instant else Controls(invention=options.invention).invented,
         "seed": options.seed,
         "sampler": options.sampler,
         "steps": options.steps,
@@ -91,5 +112,7 @@ def judge(options: Evaluate, source: Path) -> Path:
     }
     write_atomically(out / "evaluation.json", (json.dumps(record, indent=2) + "\n").encode())
     sheet = contact_sheet(views, list(meshes))
-    write_atomically(out / "evaluation.html", page(f"{source.name}: samples judged", sheet, rows).encode())
+    write_atomically(
+        out / "evaluation.html", page(f"{asset.path.name}: samples judged", sheet, rows).encode()
+    )
     return out / "evaluation.html"

@@ -14,7 +14,8 @@ from flx.arguments import whole
 from flx.assets.asset import Asset, Format, Painting
 from flx.commands.output import own_folder, settings
 from flx.commands.stages import Stages
-from flx.config import STEPS, Controls, Patches, Sampler
+from flx.config import STEPS, Sampler
+from flx.controls import Controls, Patches
 from flx.files import write_atomically
 
 
@@ -96,7 +97,7 @@ def sample(options: Sample) -> Path:
         check_variants(asset, options.format)
     read = {name: getattr(options.controls, name) for name in ("keep", "fill", "labels")}
     read["direction"] = file_of(options.controls.direction or "x")
-    unused = {"steps", "sampler"} if options.instant else {f.name for f in fields(Patches)}
+    unused = {"steps", "sampler", "invention"} if options.instant else {f.name for f in fields(Patches)}
     made_by = {
         **{name: value for name, value in settings(options).items() if name not in unused},
         **plan.made_by,
@@ -198,7 +199,8 @@ def learnt_plan(options: Sample) -> Plan:
         )
     generator = load_generator(options.run)
     kept = kept_texels(generator.asset, options.controls)
-    rules = (options.controls.strength, REPEATS if kept else None)
+    decided = min(options.controls.strength, options.controls.invented)
+    rules = (decided, REPEATS if kept else None)
     chosen = sampler_named(options.sampler, generator.alphas, options.steps, *rules)
     other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
     asset = prepared_for(other or generator.asset, options.format)
@@ -206,8 +208,10 @@ def learnt_plan(options: Sample) -> Plan:
     check_direction(generator, options.controls, asset)
 
     def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
+        if options.controls.invented < 1:
+            Stages(1)("looking at the texture, coarse and fine")
         rules = (options.count, options.seed, options.steps, options.sampler, options.texture_size, asset)
-        return ((painting, {}) for painting in generate(generator, *rules, options.controls))
+        return ((painting, {}) for painting in generate(generator, *rules, options.controls, None))
 
     home = options.run if options.run.is_dir() else options.run.parent
     return Plan(
@@ -220,6 +224,7 @@ def learnt_plan(options: Sample) -> Plan:
         also=f"step-{generator.step}",
         made_by={
             "steps": len(chosen.table["t"]),
+            "invention": options.controls.invented if options.controls.strength == 1 else None,
             "step": generator.step,
             "generator": digest_of(generator.params)[:12],
         },
@@ -237,15 +242,16 @@ def instant_plan(options: Sample) -> Plan:
     from flx.assets.vase import vase_asset
     from flx.pipeline.inpainting import kept_texels
     from flx.pipeline.instant import check_instant, open_canvases, painted, patch_generator
+    from flx.pipeline.layout import run_guides
     from flx.pipeline.transfer import scaled_count
     from flx.training.load import load_generator
 
-    check_instant(options.controls)
     if options.texture and (options.run is None or options.run.is_dir()):
         raise ValueError(f"texture {options.texture} goes with a mesh file; name one, or leave it out")
     if options.steps != STEPS or options.sampler != "dpm":
         raise ValueError("there is no network to evaluate with --instant; leave out --steps and --sampler")
     up: Literal["y", "z"] = "y"
+    generator = None
     if options.run is None:
         own, usual = vase_asset(), Path("runs", "vase-instant")
     elif options.run.suffix.lower() in {*READERS, *OTHERS}:
@@ -260,16 +266,18 @@ def instant_plan(options: Sample) -> Plan:
     kept = kept_texels(own, options.controls)
     other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
     asset = prepared_for(other or own, options.format)
+    guides = run_guides(generator, asset, options.patches, options.controls) if generator else None
+    check_instant(options.patches, options.controls, guides)
 
     def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
         stages = Stages(2)
         stages("looking at the texture, coarse and fine")
-        generator = patch_generator(own, options.patches, 0, options.controls, asset)
+        patches = patch_generator(own, options.patches, 0, options.controls, asset, guides)
         stages("finding texels on the surface")
-        canvases = open_canvases(generator, options.texture_size)
-        every = (generator.sample([options.seed, n]) for n in range(options.count))
+        canvases = open_canvases(patches, options.texture_size)
+        every = patches.every([[options.seed, n] for n in range(options.count)], None)
         return (
-            (painted(generator, canvases, anchors), {"pieces": generator.pieces(anchors)._asdict()})
+            (painted(patches, canvases, anchors), {"pieces": patches.pieces(anchors)._asdict()})
             for anchors in every
         )
 

@@ -17,15 +17,11 @@ from flx.config import Surface
 from flx.files import write_atomically
 from flx.geometry import copies
 from flx.geometry.atlas import check_repeats, with_filled_gutters
-from flx.machine import memory, processors
 from flx.pipeline.codec import Codec
 from flx.pipeline.tensors import one_line
-from flx.pipeline.workers import in_processes
+from flx.pipeline.workers import in_processes, workers_for
 from flx.stopping import keeping
 from flx.types import MeshTables, TexturedMesh, Triangulation
-
-MOST_WORKERS = 8  # a worker holds the mesh and its textures
-SHARE = 0.8  # of the free memory, for workers
 
 
 def triangulate(
@@ -145,19 +141,13 @@ def _copies(
 ) -> Generator[tuple[int, copies.Copy]]:
     """Copies as they are ready."""
     tasks = [(surface.vertices, samples, surface.slots, seed) for seed in seeds]
-    workers = min(workers or _workers(copies.memory_to_make(surface.vertices, mesh)), len(seeds))
+    workers = min(workers or workers_for(copies.memory_to_make(surface.vertices, mesh)), len(seeds))
     if workers == 1:
         for seed, task in zip(seeds, tasks, strict=True):
             yield seed, copies.make_copy(mesh, *task)
     else:
         for n, copy in in_processes(copies.make_copy, (mesh,), tasks, workers):
             yield seeds[n], copy
-
-
-def _workers(bytes_each: float) -> int:
-    """As many as there are processors for, and free memory."""
-    fit = int(SHARE * free.free / bytes_each) if (free := memory()) else MOST_WORKERS
-    return max(1, min(MOST_WORKERS, processors(), fit))
 
 
 def save_tables(path: Path, tables: MeshTables) -> None:

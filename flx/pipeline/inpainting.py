@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from flx.assets.asset import Asset, Painting
 from flx.assets.formats.files import read_file
 from flx.assets.formats.images import decode_image
-from flx.config import Controls
+from flx.controls import Controls
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import diffuse
 from flx.geometry.atlas import atlas_texels, fill_gutter

@@ -18,19 +18,25 @@ from scipy.sparse.linalg import splu
 from flx.arguments import check_kind, whole
 from flx.assets.asset import Asset, Images, Painting, check_asset
 from flx.assets.shape import read_shape
-from flx.config import Controls, Patches
+from flx.controls import Controls, Patches
 from flx.geometry.arrays import face_areas, mark, unit_vectors
 from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.color import eight_bits, resized
 from flx.geometry.copies import check_memory
+from flx.geometry.direction import field_on
+from flx.geometry.labels import labels_on
 from flx.geometry.patchwork.anchors import Anchors, settled
 from flx.geometry.patchwork.cuts import Patchwork
+from flx.geometry.patchwork.guides import Guides, Weights
 from flx.geometry.patchwork.synthesis import FINER, Pieces, Synthesis, pieces, prepare, synthesize
 from flx.geometry.remesh.remesh import remesh
 from flx.geometry.sampling import face_normals, surface_colors, transfer
 from flx.pipeline.canvas import Canvas, bake, check_size, open_canvas
-from flx.pipeline.inpainting import HELD, Inpainting, kept_shares, kept_texels, restored
+from flx.pipeline.direction import file_of, read_direction
+from flx.pipeline.inpainting import HELD, Inpainting, Kept, kept_shares, kept_texels, restored
+from flx.pipeline.labels import read_labels
 from flx.pipeline.transfer import scaled_count
+from flx.pipeline.workers import in_order, in_processes, workers_for
 from flx.types import SLOTS, Queries, Slot, SurfacePoints, TexturedMesh, Triangulation
 
 SAMPLES = 64  # points of a one-ring that say whether it is kept
@@ -39,6 +45,7 @@ LEAST = 0.03  # share of a blend below which a corner is left out
 SAME = 0.02  # difference of colours up to which two neighbours count as one piece
 BRIGHTNESS = 0.12  # difference that may be one of brightness; much larger ones are edges of the pattern
 STAY = 0.003  # weight of not shifting colours at all
+WORKER_BYTES, VERTEX_BYTES = 5e8, 12_000  # of a process that makes patchworks, and per vertex of its source
 FIXED = 1e3  # the same at a vertex whose texture is kept
 
 
@@ -52,10 +59,21 @@ class PatchGenerator:
     synthesis: Synthesis
     patches: Patches
     held: Inpainting | None  # what stays of the texture
+    weights: Weights  # of what its pieces share with the places that they come to
 
     def sample(self, seed: int | list[int]) -> Anchors:
         """Where every vertex of the finest target comes from. Same seed, same machine: same bits."""
-        return synthesize(self.synthesis, seed, self.patches.coherence, self.patches.guide)
+        return synthesize(self.synthesis, seed, self.patches.coherence, self.weights)
+
+    def every(self, seeds: Sequence[list[int]], workers: int | None = 1) -> Iterator[Anchors]:
+        """`sample` of many seeds in processes, in their order; None: as many as this machine has room for."""
+        room = WORKER_BYTES + VERTEX_BYTES * FINER * len(self.triangulation.vertices)
+        workers = min(workers or workers_for(room), len(seeds))
+        if workers < 2:
+            yield from map(self.sample, seeds)
+        else:
+            one = partial(synthesize, coherence=self.patches.coherence, weights=self.weights)
+            yield from in_order(in_processes(one, (self.synthesis,), [(seed,) for seed in seeds], workers))
 
     def pieces(self, anchors: Anchors) -> Pieces:
         """How many pieces of the input a result has, how large they are, and how much did not move at all."""
@@ -73,6 +91,7 @@ def patch_generator(
     seed: int = 0,
     controls: Controls | None = None,
     target: Asset | None = None,
+    guides: tuple[Guides, Guides] | None = None,
 ) -> PatchGenerator:
     """Prepare new textures from pieces of an asset's own; no training.
 
@@ -80,10 +99,12 @@ def patch_generator(
         asset: The mesh whose texture it is, from `flx.load`. Other maps that were read with it change, too.
         patches: How pieces are chosen, a `flx.Patches`.
         seed: Of the triangulations.
-        controls: A `flx.Controls`, of which keep, fill, mesh and scale count.
+        controls: A `flx.Controls`; all but strength can be followed.
         target: The mesh to paint, from `flx.load_shape`; that of the controls, or the asset, unless given.
+        guides: How to find labels and directions of the asset and of the target; in the files that the
+            controls and `patches` name, unless given.
 
-    Raises ValueError for controls that need training, and for a mesh that cannot be triangulated.
+    Raises ValueError for controls that cannot be followed, and for a mesh that cannot be triangulated.
 
     Example:
         generator = flx.patch_generator(flx.load("bowl.glb"))
@@ -96,21 +117,36 @@ def patch_generator(
     check_kind("patches", patches, Patches, "a flx.Patches")
     check_kind("controls", controls, Controls, "a flx.Controls")
     seed = whole("seed", seed)
-    check_instant(controls)
+    check_instant(patches, controls, guides)
     if target is None:
         target = read_shape(controls.mesh) if controls.mesh else asset
     check_asset("target", target)
-    mesh, kept = with_filled_gutters(asset.mesh), kept_texels(asset, controls)
-    same = target.digest == asset.digest
-    if kept and not same:
+    kept = kept_texels(asset, controls)
+    guides = guides_of(asset, target, patches, controls) if guides is None else guides
+    if kept and target.digest != asset.digest:
         raise ValueError(f"a mask is one of {asset.path}; leave keep and fill out for another mesh")
-    surface = Triangulation(target.mesh.vertices, target.mesh.faces)
     count = scaled_count(patches.vertices, asset, target, controls.scale)
     check_memory(FINER * max(count, patches.vertices))
     try:
-        triangulation = remesh(*surface, count, seed)
+        triangulation = remesh(target.mesh.vertices, target.mesh.faces, count, seed)
     except ValueError as fault:
         raise ValueError(f"{target.path}: {fault} (--vertices)") from None
+    return patches_on(triangulation, asset, target, patches, controls, guides, kept, seed)
+
+
+def patches_on(
+    triangulation: Triangulation,
+    asset: Asset,
+    target: Asset,
+    patches: Patches,
+    controls: Controls,
+    guides: tuple[Guides, Guides],
+    kept: Kept | None,
+    seed: int = 0,
+) -> PatchGenerator:
+    """A `patch_generator` on a triangulation of the target; `patches.vertices` is for one of the asset."""
+    mesh, count = with_filled_gutters(asset.mesh), len(triangulation.vertices)
+    surface, same = Triangulation(target.mesh.vertices, target.mesh.faces), target.digest == asset.digest
     held, free, damaged = None, None, None
     if kept:
         shares = kept_shares(mesh, kept, triangulation, SAMPLES)
@@ -124,20 +160,67 @@ def patch_generator(
     # How much larger than in the input details are in the units of the files, which may not be the same.
     size = np.sqrt(face_areas(*surface).sum() / face_areas(mesh.vertices, mesh.faces).sum())
     scale = float(size * np.sqrt(patches.vertices / count))
-    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same)
-    return PatchGenerator(asset, target, mesh, synthesis, patches, held)
+    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same, guides)
+    weights = Weights(patches.guide, controls.guidance)
+    return PatchGenerator(asset, target, mesh, synthesis, patches, held, weights)
 
 
-def check_instant(controls: Controls) -> None:
-    """Raises ValueError for controls that need a trained generator."""
-    usual = Controls()
-    for name in ("strength", "labels", "direction", "rotate", "guidance"):
-        if (value := getattr(controls, name)) != getattr(usual, name):
-            raise ValueError(f"{name} is {value}, but nothing is learnt here; train a run, or leave it out")
+def check_instant(patches: Patches, controls: Controls, guides: tuple[Guides, Guides] | None = None) -> None:
+    """Raises ValueError for controls that cannot be followed without training.
+
+    `guides` are those of a run that learnt some.
+    """
+    for name in ("strength", "invention"):
+        if (value := getattr(controls, name)) != getattr(Controls(), name):
+            said = f"{name} is {value}, but nothing is learnt here"
+            raise ValueError(f"{said}; train a run, or leave it out")
+    directed = controls.direction or (guides and guides[1].direction)
+    guided = guides is not None or controls.labels or patches.input_labels or directed
+    if controls.guidance != 1 and not guided:
+        said = f"guidance is {controls.guidance}, but there is nothing to follow"
+        raise ValueError(f"{said}; give labels or a direction, or leave it out")
+    if not directed and (controls.rotate or patches.input_direction):
+        name, value = "rotate", controls.rotate
+        if patches.input_direction:
+            name, value = "input direction", patches.input_direction
+        raise ValueError(f"{name} is {value}, but there is no direction; give it with --direction")
+
+
+def guides_of(asset: Asset, target: Asset, patches: Patches, controls: Controls) -> tuple[Guides, Guides]:
+    """Labels and directions of the input and of the target.
+
+    Those of one also hold for the other unless given; labels do so where both are the same mesh, strokes too.
+    Raises ValueError as `read_labels` and `read_direction` do, and for what the other mesh cannot have.
+    """
+    same, own, other = target.digest == asset.digest, Guides(), Guides()
+    drawn, learnt = controls.labels, patches.input_labels
+    if drawn and not (learnt or same):
+        raise ValueError(f"labels {drawn} are those of {target.path}; give the input's with --input-labels")
+    if learnt and not (drawn or same):
+        raise ValueError(f"input labels {learnt}: {target.path} has none yet; give them with --labels")
+    if before := learnt or drawn:
+        here = read_labels(before, asset)
+        there = read_labels(drawn or before, target, here.palette)
+        own, other = Guides(partial(labels_on, here)), Guides(partial(labels_on, there))
+    if controls.direction:
+        before = patches.input_direction or controls.direction
+        if not (same or patches.input_direction) and file_of(before):
+            raise ValueError(
+                f"direction {before} is drawn on {target.path}; say which way the input runs with "
+                "--input-direction"
+            )
+        here, there = read_direction(before, asset), read_direction(controls.direction, target)
+        own = own._replace(direction=partial(field_on, here))
+        other = other._replace(direction=partial(field_on, there))
+    return own, other.turned(controls.rotate)
 
 
 def patchworks(
-    generator: PatchGenerator, count: int = 4, seed: int = 0, texture_size: int | None = None
+    generator: PatchGenerator,
+    count: int = 4,
+    seed: int = 0,
+    texture_size: int | None = None,
+    workers: int | None = 1,
 ) -> Iterator[Painting]:
     """New textures, one after another, in every map that was read.
 
@@ -147,6 +230,8 @@ def patchworks(
         seed: Variation n depends on the seed and n alone.
         texture_size: Pixels on the longer side; the input's, at most 2048 (all where some are kept), unless
             given.
+        workers: Processes that make them; None: as many as this machine has room for. A script that asks for
+            several must keep its own work under `if __name__ == "__main__":`.
 
     Example:
         painting = next(flx.patchworks(flx.patch_generator(asset)))
@@ -155,8 +240,8 @@ def patchworks(
     count, seed = whole("count", count, 1), whole("seed", seed)
     check_size(texture_size, "texture_size")
     canvases = open_canvases(generator, texture_size)
-    for n in range(count):
-        yield painted(generator, canvases, generator.sample([seed, n]))
+    for anchors in generator.every([[seed, n] for n in range(count)], workers):
+        yield painted(generator, canvases, anchors)
 
 
 def open_canvases(generator: PatchGenerator, texture_size: int | None = None) -> list[Canvas]:

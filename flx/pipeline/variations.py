@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator
+from itertools import repeat
 from typing import NamedTuple
 
 import jax
@@ -12,7 +13,8 @@ from tqdm import tqdm
 from flx.arguments import check_kind, whole
 from flx.assets.asset import Asset, Painting
 from flx.assets.shape import read_shape
-from flx.config import STEPS, Controls, Sampler
+from flx.config import STEPS, Sampler
+from flx.controls import Controls
 from flx.fields.samplers import Hook
 from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.copies import sample_rings
@@ -24,6 +26,7 @@ from flx.pipeline.direction import read_direction
 from flx.pipeline.generator import Generator, Home
 from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, kept_texels, restored
 from flx.pipeline.labels import read_labels
+from flx.pipeline.layout import Layouts, layouts
 from flx.pipeline.transfer import home_on
 from flx.types import Triangulation
 
@@ -37,6 +40,7 @@ class Controlled(NamedTuple):
     kept: Inpainting | None  # what stays of the texture
     labels: Int32[np.ndarray, "V"] | None  # what goes where
     direction: Complex128[np.ndarray, "V"] | None  # which way the texture runs
+    layouts: Layouts | None  # what the network begins with
 
 
 def controlled(generator: Generator, controls: Controls, asset: Asset) -> Controlled:
@@ -52,7 +56,8 @@ def controlled(generator: Generator, controls: Controls, asset: Asset) -> Contro
     held = kept and inpainting(generator, kept, home.triangulation)
     labels = labels_for(generator, controls, asset, home.triangulation)
     direction = direction_for(generator, controls, asset, home.triangulation)
-    return Controlled(home, held and held.hook, near, held, labels, direction)
+    begun = layouts(generator, home.triangulation, asset, controls) if controls.invented < 1 else None
+    return Controlled(home, held and held.hook, near, held, labels, direction, begun)
 
 
 def check_labels(generator: Generator, controls: Controls, asset: Asset) -> LabelMap | None:
@@ -141,6 +146,7 @@ def generate(
     texture_size: int | None = None,
     asset: Asset | None = None,
     controls: Controls | None = None,
+    workers: int | None = 1,
 ) -> Iterator[Painting]:
     """New textures of the asset that the generator learnt from, one after another.
 
@@ -154,6 +160,8 @@ def generate(
         asset: Another mesh to paint, from `flx.load_shape`; or the generator's own with an atlas, if it
             came without one.
         controls: What guides them, a `flx.Controls`.
+        workers: Processes that look for pieces of the input; None: as many as this machine has room for. A
+            script that asks for several must keep its own work under `if __name__ == "__main__":`.
 
     Raises ValueError for controls that the generator cannot follow.
 
@@ -168,16 +176,19 @@ def generate(
     controls = controls or Controls()
     if asset is None:
         asset = read_shape(controls.mesh) if controls.mesh else generator.asset
-    home, hook, near, held, labels, direction = controlled(generator, controls, asset)
+    home, hook, near, held, labels, direction, begun = controlled(generator, controls, asset)
     if held:
         texture_size = texture_size or max(held.kept.texels.shape)
     canvas = open_canvas(asset, home.triangulation, texture_size)
     repeats = REPEATS if held else None
-    for n in range(count):
+    share = min(controls.strength, controls.invented)
+    starts = begun.every([[seed, n] for n in range(count)], workers) if begun else repeat(None, count)
+    for n, start in enumerate(starts):
         key = jax.random.fold_in(jax.random.key(seed), n)
-        rules = (steps, sampler, hook, near, controls.strength, repeats)
+        rules = (steps, sampler, hook, start.codes if start else near, share, repeats)
         codes = generator.sample(key, home, *rules, labels, controls.guidance, direction)
-        painting = bake(canvas, generator.codec.decoder(codes))
+        painter = begun.finished(start, codes) if begun and start else generator.codec.decoder(codes)
+        painting = bake(canvas, painter)
         yield restored(held, canvas, painting) if held else painting
 
 

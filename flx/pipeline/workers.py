@@ -16,7 +16,11 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from flx.machine import memory, processors
 from flx.stopping import SIGNALS
+
+MOST_WORKERS = 8  # a worker holds the mesh and its textures
+SHARE = 0.8  # of the free memory, for workers
 
 
 def in_processes(
@@ -55,6 +59,23 @@ def in_processes(
             process.kill()
             process.join()
             connection.close()
+
+
+def in_order(results: Iterator[tuple[int, Any]]) -> Iterator[Any]:
+    """What `in_processes` yields, in the order of the tasks."""
+    early, wanted = {}, 0
+    with contextlib.closing(results):  # pyright: ignore[reportArgumentType]
+        for number, result in results:
+            early[number] = result
+            while wanted in early:
+                yield early.pop(wanted)
+                wanted += 1
+
+
+def workers_for(bytes_each: float) -> int:
+    """As many as there are processors for, and free memory."""
+    fit = int(SHARE * free.free / bytes_each) if (free := memory()) else MOST_WORKERS
+    return max(1, min(MOST_WORKERS, processors(), fit))
 
 
 def _start() -> tuple[Connection, Any]:

@@ -16,7 +16,8 @@ from flx.assets.read import read_asset
 from flx.commands.output import own_folder, settings
 from flx.commands.reconstruct import Reconstruct, reconstruct
 from flx.commands.sample import Sample, sample
-from flx.config import Controls, Surface
+from flx.config import Surface
+from flx.controls import Controls
 from flx.types import Triangulation
 
 

@@ -10,7 +10,7 @@ from helpers.generators import ball_generator, colored_sphere
 from helpers.surfaces import icosphere, moved
 
 from flx.assets.read import read_asset
-from flx.config import Controls
+from flx.controls import Controls
 from flx.geometry.direction import Stroke, field_on
 from flx.geometry.tables import mesh_tables
 from flx.pipeline.direction import read_direction
@@ -95,9 +95,10 @@ def test_samples_follow_the_direction_that_is_given(directed, tmp_path):
     found = [direction_for(directed, Controls(direction=str(p)), directed.asset, BALL) for p in (file, same)]
     np.testing.assert_allclose(*found, atol=1e-9)
     drawn, own = (
-        next(generate(directed, 1, steps=3, controls=Controls(direction=way))) for way in (str(file), None)
+        next(generate(directed, 1, steps=3, controls=Controls(direction=way, invention=1.0)))
+        for way in (str(file), None)
     )
-    z = next(generate(directed, 1, steps=3, controls=Controls(direction="z")))
+    z = next(generate(directed, 1, steps=3, controls=Controls(direction="z", invention=1.0)))
     np.testing.assert_array_equal(z.colors, own.colors)
     assert np.abs(drawn.colors - own.colors).max() > 0.01
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from flx.assets.arrays import from_arrays
 from flx.assets.asset import Asset, Painting
-from flx.config import Controls
+from flx.controls import Controls
 from flx.geometry.seams import border_ratio
 from flx.pipeline.canvas import open_canvas, shown
 from flx.pipeline.generator import Generator

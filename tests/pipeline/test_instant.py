@@ -20,7 +20,7 @@ from flx.assets.formats.gltf import Gltf, append, append_view, read_gltf
 from flx.assets.formats.images import encode_png
 from flx.assets.read import read_with_maps
 from flx.commands.sample import Sample, sample
-from flx.config import Controls, Patches
+from flx.controls import Controls, Patches
 from flx.geometry.atlas import atlas_texels
 from flx.geometry.patchwork.anchors import Anchors
 from flx.geometry.patchwork.synthesis import own_places
@@ -85,6 +85,12 @@ def test_new_textures_have_the_colours_of_the_input_and_differ():
         for percent in (5, 50, 95):
             levels = [np.percentile(i, percent, (0, 1)) for i in (image, BALL.mesh.textures[0])]
             assert np.abs(levels[0] - levels[1]).max() < 25
+
+
+def test_processes_find_the_same_pieces_in_the_same_order():
+    seeds = [[0, n] for n in range(3)]
+    for one, two in zip(WHOLE.every(seeds), WHOLE.every(seeds, 2), strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
 
 
 def test_shifts_of_colour_close_steps_of_brightness_and_leave_one_piece_alone():
@@ -205,16 +211,84 @@ def test_colours_at_vertices_are_patched_as_well():
 
 
 @pytest.mark.parametrize(
-    ("controls", "message"),
+    ("patches", "controls", "message"),
     [
-        (Controls(strength=0.5), "strength is 0.5, but nothing is learnt here; train a run, or leave it out"),
-        (Controls(guidance=2.0), "guidance is 2.0, but nothing is learnt here; train a run, or leave it out"),
+        ({}, {"strength": 0.5}, "strength is 0.5, but nothing is learnt here; train a run, or leave it out"),
+        (
+            {},
+            {"guidance": 2.0},
+            "guidance is 2.0, but there is nothing to follow; give labels or a direction, or leave it out",
+        ),
+        ({}, {"rotate": 90.0}, "rotate is 90.0, but there is no direction; give it with --direction"),
+        (
+            {"input_direction": "x"},
+            {},
+            "input direction is x, but there is no direction; give it with --direction",
+        ),
+        (
+            {},
+            {"labels": "map.png", "mesh": "square.obj"},
+            "labels map.png are those of square.obj; give the input's with --input-labels",
+        ),
+        (
+            {"input_labels": "map.png"},
+            {"mesh": "square.obj"},
+            "input labels map.png: square.obj has none yet; give them with --labels",
+        ),
+        (
+            {},
+            {"direction": "strokes.json", "mesh": "square.obj"},
+            "direction strokes.json is drawn on square.obj; say which way the input runs with "
+            "--input-direction",
+        ),
     ],
 )
-def test_what_needs_training_is_refused(controls, message):
+def test_what_cannot_be_followed_is_refused(tmp_path, monkeypatch, patches, controls, message):
+    monkeypatch.chdir(tmp_path)
+    Path("square.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    patches, controls = (
+        {
+            name: Path(said) if name in ("labels", "mesh", "input_labels") else said
+            for name, said in of.items()
+        }
+        for of in (patches, controls)
+    )
     with pytest.raises(ValueError) as refusal:
-        patch_generator(BALL, SMALL, controls=controls)
+        patch_generator(BALL, Patches(vertices=300, **patches), controls=Controls(**controls))
     assert str(refusal.value) == message
+
+
+def test_labels_and_a_direction_are_followed_without_training(tmp_path):
+    """Above and below change places; then all is turned by half a turn."""
+    halves = np.zeros((128, 256, 3), np.uint8)
+    halves[:, 128:] = (255, 0, 0)  # the lower half of the ball
+    for name, image in (("own.png", halves), ("swapped.png", halves[:, ::-1])):
+        Image.fromarray(np.ascontiguousarray(image)).save(tmp_path / name)
+    patches = Patches(vertices=300, input_labels=tmp_path / "own.png")
+    controls = Controls(labels=tmp_path / "swapped.png", direction="x", rotate=180.0)
+    generator = patch_generator(BALL, patches, controls=controls)
+    level, anchors = generator.synthesis.levels[-1], generator.sample(0)
+    places = level.source.surface.positions[anchors.vertices]
+    away = np.abs(level.target.positions[:, 2]) > 0.2
+    assert (places[:, 2] * level.target.positions[:, 2] < 0)[away].mean() > 0.95
+    own, there = level.characters
+    along = np.conj(own.directions[anchors.vertices]) * anchors.turns * there.directions
+    assert (along.real > 0)[np.abs(along) > 0.5].mean() > 0.95
+    target = level.target
+    axes = there.directions.real[:, None] * target.x_axes + there.directions.imag[:, None] * target.y_axes
+    assert axes[:, 0].max() <= 1e-6, "along x, turned by half a turn"
+
+
+def test_labels_of_the_input_alone_keep_each_part_in_its_place(tmp_path):
+    halves = np.zeros((128, 256, 3), np.uint8)
+    halves[:, 128:] = (255, 0, 0)
+    Image.fromarray(halves).save(tmp_path / "own.png")
+    patches = Patches(vertices=300, input_labels=tmp_path / "own.png")
+    generator = patch_generator(BALL, patches)
+    level, anchors = generator.synthesis.levels[-1], generator.sample(0)
+    z = level.target.positions[:, 2]
+    same = level.source.surface.positions[anchors.vertices][:, 2] * z > 0
+    assert same[np.abs(z) > 0.2].mean() > 0.95
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from PIL import Image
 
 from flx.assets.arrays import from_arrays
 from flx.assets.read import read_asset
-from flx.config import Controls
+from flx.controls import Controls
 from flx.geometry.tables import mesh_tables
 from flx.pipeline.generator import Generator, Home, read_generator, save_generator
 from flx.pipeline.labels import Labels, in_words, read_labels
@@ -25,6 +25,7 @@ pytestmark = pytest.mark.slow
 BALL = icosphere(2)
 HEIGHTS = np.digitize(BALL.vertices[:, 2], [-0.4, 0.5])  # as `labelled_sphere`; black, red, blue
 KEY = jax.random.key(3)
+ALONE = Controls(invention=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -112,11 +113,11 @@ def test_another_mesh_is_painted_by_labels_of_its_own(labelled, tmp_path, capsys
 def test_samples_follow_the_labels_that_are_given(labelled, tmp_path):
     """All of the ball in one label is what a generator paints whose own ball is in that label."""
     (tmp_path / "red.ply").write_bytes(colored_sphere(BALL, np.tile([[200, 0, 0]], (162, 1))))
-    red = next(generate(labelled, 1, steps=3, controls=Controls(labels=tmp_path / "red.ply")))
+    red = next(generate(labelled, 1, steps=3, controls=Controls(labels=tmp_path / "red.ply", invention=1.0)))
     all_red = Labels(known(labelled).palette, np.full(162, 2, np.int32))
-    same = next(generate(dataclasses.replace(labelled, labels=all_red), 1, steps=3))
+    same = next(generate(dataclasses.replace(labelled, labels=all_red), 1, steps=3, controls=ALONE))
     np.testing.assert_array_equal(red.colors, same.colors)
-    assert np.abs(red.colors - next(generate(labelled, 1, steps=3)).colors).max() > 0.01
+    assert np.abs(red.colors - next(generate(labelled, 1, steps=3, controls=ALONE)).colors).max() > 0.01
 
 
 def test_one_line_says_how_many_labels_there_are_and_how_large():

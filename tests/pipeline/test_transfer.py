@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flx.assets.arrays import from_arrays
-from flx.config import Controls
+from flx.controls import Controls
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import Scaling
 from flx.geometry.tables import mesh_tables
@@ -157,7 +157,7 @@ def test_scale_moves_the_spectrum_by_as_much(generator):
     )
 
     def frequency(scale: float) -> float:
-        control = Controls(scale=scale)
+        control = Controls(scale=scale, invention=1.0)
         paintings = generate(waves, 2, steps=2, sampler="ddim", asset=sheet, controls=control)
         power = 0.0
         for painting in paintings:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flx.assets.asset import own_painting
-from flx.config import Controls
+from flx.controls import Controls
 from flx.pipeline.variations import generate
 
 pytestmark = pytest.mark.slow
@@ -23,7 +23,8 @@ def test_little_strength_stays_near_the_input(generator):
     """The network is untrained, so it is the start alone that knows the input."""
 
     def away(strength: float) -> float:
-        painting = next(generate(generator, 1, steps=20, controls=Controls(strength=strength)))
+        controls = Controls(strength=strength) if strength < 1 else Controls(invention=1.0)
+        painting = next(generate(generator, 1, steps=20, controls=controls))
         return float(np.abs(painting.colors - own_painting(generator.asset).colors).mean())
 
     assert away(0.05) < away(0.5) < away(1.0)

@@ -117,7 +117,7 @@ def chart_points(surface: Surface, vertices: Int[Any, "n"], reach: float) -> Sur
     place = np.einsum("pk,pk->p", corners, starts.barycentrics)
     ahead = place - corners[np.arange(len(at)), (faces == at[:, None]).argmax(1)]
     stops = ((np.arange(RINGS) + 0.6) / RINGS * reach - START) * surface.radius
-    return walk(surface.unfolding, starts, ahead / np.abs(ahead), stops)
+    return walk(surface.unfolding, starts, ahead / np.maximum(np.abs(ahead), 1e-300), stops)
 
 
 class Views(NamedTuple):

@@ -37,6 +37,8 @@ SMALL = 3  # vertices; smaller pieces do not expand, they are taken over
 BATCH = 25  # places where new pieces are tried at a time
 TRIES, CHOICE = 2, 40  # pieces that are tried at each, and of how many they are chosen
 
+Priced = Callable[[Charts, Int[Any, "n"]], tuple[Any, ...]]
+
 
 class Patchwork:
     """Anchors at the vertices of a target, and what they show along its edges."""
@@ -104,10 +106,19 @@ class Patchwork:
             if len(members) >= SMALL:
                 pieces[self.grow(members)] = piece
 
-    def insert(self, bank: Bank, coarse: Source, view: Views, count: int, rng: np.random.Generator) -> None:
+    def insert(
+        self,
+        bank: Bank,
+        coarse: Source,
+        view: Views,
+        count: int,
+        rng: np.random.Generator,
+        priced: Priced = lambda *_: (),
+    ) -> None:
         """Try new pieces at `count` vertices, chosen by what the seams around them cost.
 
         `view` gives the charts that the bank's are compared with; the bank's vertices are those of `coarse`.
+        `priced` says what charts of the bank cost beside, as `most_similar` takes it.
         """
         for _ in range(max(1, count // BATCH)):
             costs = np.bincount(self.p, self.costs(), len(self.target))
@@ -116,17 +127,17 @@ class Patchwork:
             if np.count_nonzero(costs) < BATCH:
                 return
             rows = rng.choice(len(self.target), BATCH, replace=False, p=costs / costs.sum())
-            for row, choices in zip(rows, self._choices(rows, bank, coarse, view), strict=True):
+            for row, choices in zip(rows, self._choices(rows, bank, coarse, view, priced), strict=True):
                 for choice in choices:
                     self.grow(np.array([row]), choice)
 
     def _choices(
-        self, rows: Int[Any, "n"], bank: Bank, coarse: Source, view: Views
+        self, rows: Int[Any, "n"], bank: Bank, coarse: Source, view: Views, priced: Priced
     ) -> Iterable[list[Anchors]]:
         """New anchors for each row, of different places of the source."""
         source = self.source.surface
         charts: Charts = seen(self.source, view, self.anchors, self.step, rows)
-        found = anchors_of(bank, *most_similar(bank, charts, CHOICE))
+        found = anchors_of(bank, *most_similar(bank, charts, CHOICE, *priced(charts, rows)))
         positions, directions = placed(coarse.surface, found)
         normals = outward(coarse.surface, found.vertices)
         converted = nearest_anchors(

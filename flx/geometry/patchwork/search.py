@@ -65,17 +65,22 @@ def bank(source: Source, rng: np.random.Generator) -> Bank:
 
 
 def most_similar(
-    bank: Bank, charts: Charts, count: int = 1, prices: Float32[Any, "M"] | None = None
+    bank: Bank,
+    charts: Charts,
+    count: int = 1,
+    prices: Float32[Any, "G M"] | None = None,
+    groups: Int[Any, "n"] | None = None,
 ) -> tuple[Int[Any, "n count"], Int[Any, "n count"]]:
     """Places in `bank.vertices`, and turns, of the most similar charts, the best first.
 
-    `prices` of the bank's vertices are added to the squared distances.
+    `prices` of the bank's charts are added to the squared distances: the row that `groups` names.
     """
     queries = (charts.reshape(len(charts), -1) - bank.mean) @ bank.components
-    added = bank.squares if prices is None else bank.squares + np.tile(prices, ANGLES)
+    added = bank.squares[None] if prices is None else bank.squares + prices
     best = np.empty((len(charts), count), np.int64)
     for rows in chunks(len(charts), 256):
-        apart = added - 2 * queries[rows] @ bank.charts.T
+        chosen = added if groups is None or len(added) == 1 else added[groups[rows]]
+        apart = chosen - 2 * queries[rows] @ bank.charts.T
         if count == 1:
             best[rows] = apart.argmin(1)[:, None]
             continue

@@ -9,7 +9,6 @@ can be looked up there at its full resolution.
 
 from typing import Any, NamedTuple
 
-import igl
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
@@ -27,8 +26,9 @@ from flx.geometry.patchwork.anchors import (
     settled,
     turned_frames,
 )
-from flx.geometry.patchwork.appearance import EDGE, REACH, Charts, Source, Views, seen, views
+from flx.geometry.patchwork.appearance import ANGLES, EDGE, REACH, Charts, Source, Views, seen, views
 from flx.geometry.patchwork.cuts import Patchwork
+from flx.geometry.patchwork.guides import Character, Guides, Weights, character, chart_costs, unlike
 from flx.geometry.patchwork.search import (
     CENTRE,
     Bank,
@@ -58,8 +58,10 @@ RELAXATIONS = 8  # rounds that even out the anchors inside pieces
 FORBIDDEN = 1e3  # cost of what a source cannot give
 MISFIT = 0.05  # cost, beside seams, of a difference of curvature of 1, or of a price of 1
 STAYING, NEAR = 4.0, 2.0  # cost of a place that does not move, as for MISFIT; it moves by so many edges
-MOST_BENT = 4.0  # squared difference of curvatures that counts
 CLOSE = 0.7  # edges between two predictions that are averaged
+
+
+USUAL = Weights()
 
 
 class Level(NamedTuple):
@@ -71,7 +73,7 @@ class Level(NamedTuple):
     bank: Bank
     usage: Usage
     step: float  # as in `predicted`
-    bends: tuple[Float32[Any, "M"], Float32[Any, "V"]]  # of source and target (`curvature`)
+    characters: tuple[Character, Character]  # of source and target
     same: bool  # whether both are of one surface, so that a place could stay as it was
 
 
@@ -99,6 +101,7 @@ def prepare(
     free: Bool[Any, "V"] | None = None,
     damaged: TexturedMesh | None = None,
     same: bool = True,
+    guides: tuple[Guides, Guides] = (Guides(), Guides()),
 ) -> Synthesis:
     """Levels of a textured mesh, for textures on a triangulation of it, or of another mesh.
 
@@ -111,6 +114,7 @@ def prepare(
         free: Its vertices that may change; the others come from their own place. All, unless given.
         damaged: The mesh with white texels where nothing may be taken from.
         same: Whether the triangulation is one of `mesh`.
+        guides: Of the mesh, and of the target.
 
     Levels too coarse for the surface's parts and holes are left out.
     """
@@ -141,7 +145,7 @@ def prepare(
                 bank(source, rng),
                 Usage(copy, regions),
                 step,
-                (curvature(copy), curvature(target)),
+                (character(copy, guides[0]), character(target, guides[1])),
                 same,
             )
         )
@@ -151,28 +155,14 @@ def prepare(
     return Synthesis(tuple(levels), wide, np.ones(len(target), bool) if free is None else free)
 
 
-def curvature(surface: Surface) -> Float32[Any, "V"]:
-    """asinh of the mean curvature times the radius of a ball of the surface's area: 0.88 on a ball."""
-    vertices, faces = surface.triangulation
-    faces = faces.astype(np.int64)
-    masses = np.maximum(surface.frames.masses, 1e-300)
-    normals = (igl.cotmatrix(vertices, faces) @ vertices) / masses[:, None]
-    mean = -np.einsum("vx,vx->v", normals, outward(surface, np.arange(len(surface)))) / 2
-    mean[surface.frames.boundary] = 0
-    bend = np.arcsinh(mean * np.sqrt(masses.sum() / (4 * np.pi)))
-    for _ in range(2):
-        bend = np.einsum("vk,vk->v", bend[surface.rings.neighbors], surface.rings.weights)
-    return bend.astype(np.float32)
-
-
 def synthesize(
-    synthesis: Synthesis, seed: int | list[int], coherence: float = 1.0, guide: float = 1.0
+    synthesis: Synthesis, seed: int | list[int], coherence: float = 1.0, weights: Weights = USUAL
 ) -> Anchors:
     """Anchors at the vertices of the finest target. The same seed gives the same bits on the same machine.
 
     Args:
         coherence: 0 takes the best match at every vertex; the larger, the larger the pieces.
-        guide: Weight of equal curvature: rims come from rims, hollows from hollows.
+        weights: Of what vertices are like: rims come from rims, labels from their like.
     """
     rng, levels, free = np.random.default_rng(seed), synthesis.levels, synthesis.free
     if not free.any():
@@ -187,27 +177,32 @@ def synthesize(
             changing = np.flatnonzero(free)
         for sweep in range(SWEEPS[min(number, len(SWEEPS) - 1)]):
             half = rng.permutation(changing)[: (len(changing) + 1) // 2]
-            _improve(level, anchors, half, coherence, guide, sweep < SEARCHED[min(number, 1)])
+            _improve(level, anchors, half, coherence, weights, sweep < SEARCHED[min(number, 1)])
     level, coarse = levels[-1], levels[max(len(levels) - 2, 0)]
     relax(level, anchors, free)
     if coherence:
 
         def misfit(there: Anchors, rows: Int[Any, "n"]) -> Float32[Any, "n"]:
             prices = level.usage.prices(anchors, level.target.frames.masses)
-            extra = guide * _bending(level, there, rows) + _staying(level, there, rows)
+            extra = unlike(*level.characters, there, rows, weights) + _staying(level, there, rows)
             return MISFIT * (extra + prices[there.vertices])
+
+        def priced(charts: Charts, rows: Int[Any, "n"]) -> tuple[Float32[Any, "G M"], Int[Any, "n"]]:
+            sides = coarse.characters[0], level.characters[1]
+            prices, groups = chart_costs(coarse.bank, *sides, rows, weights)
+            return _spread(charts) * prices, groups
 
         work = Patchwork(level.source, level.target, anchors, level.step, free, misfit)
         for _ in range(EXPANSIONS[0]):
             work.expand(rng)
         tried = round(min(INSERTED / coherence, 1) * len(level.target))
-        work.insert(coarse.bank, coarse.source, synthesis.wide, tried, rng)
+        work.insert(coarse.bank, coarse.source, synthesis.wide, tried, rng, priced)
         for _ in range(EXPANSIONS[1]):
             work.expand(rng)
         relax(level, anchors, free)
     missing = np.flatnonzero(free & ~level.source.can_give(anchors))
     if len(missing):
-        _improve(level, anchors, missing, coherence, guide, search=True)
+        _improve(level, anchors, missing, coherence, weights, search=True)
     return anchors
 
 
@@ -220,7 +215,7 @@ def _anywhere(level: Level, rng: np.random.Generator) -> Anchors:
 
 
 def _improve(
-    level: Level, anchors: Anchors, rows: Int[Any, "n"], coherence: float, guide: float, search: bool
+    level: Level, anchors: Anchors, rows: Int[Any, "n"], coherence: float, weights: Weights, search: bool
 ) -> None:
     """Some vertices adopt the best of their candidates, in place."""
     source, target, step = level.source, level.target, level.step
@@ -229,26 +224,21 @@ def _improve(
     agreed = support(source.surface, candidates, counted, EDGE * step)
     prices = PRICE * level.usage.prices(anchors, target.frames.masses)
     if search:
-        found = most_similar(level.bank, charts, prices=_spread(charts) * prices[level.bank.vertices])
-        found = anchors_of(level.bank, *found)
+        costs, groups = chart_costs(level.bank, *level.characters, rows, weights)
+        costs = _spread(charts) * (costs + np.tile(prices[level.bank.vertices], ANGLES))
+        found = anchors_of(level.bank, *most_similar(level.bank, charts, prices=costs, groups=groups))
         candidates = Anchors(*(np.concatenate(both, 1) for both in zip(candidates, found, strict=True)))
         counted = np.pad(counted, ((0, 0), (0, 1)), constant_values=True)
         agreed = np.pad(agreed, ((0, 0), (0, 1)))
-    weights = np.where(level.view.owners[rows] == rows[:, None, None], np.float32(CENTRE), np.float32(1))
-    apart = distances(source, charts, candidates, weights)
+    own = np.where(level.view.owners[rows] == rows[:, None, None], np.float32(CENTRE), np.float32(1))
+    apart = distances(source, charts, candidates, own)
     unit = np.median(apart[:, 0]) + np.float32(1e-6)
     costs = apart + unit * (AGREEMENT * coherence * (1 - agreed) + prices[candidates.vertices])
-    costs += unit * guide * _bending(level, candidates, rows[:, None])
+    costs += unit * unlike(*level.characters, candidates, rows[:, None], weights)
     costs += unit * _staying(level, candidates, rows[:, None])
     costs[~source.can_give(candidates)] += FORBIDDEN
     costs[~counted] = np.inf
     anchors.put(rows, candidates.at((np.arange(len(rows)), costs.argmin(1))))
-
-
-def _bending(level: Level, anchors: Anchors, rows: Int[Any, "..."]) -> Float32[Any, "..."]:
-    """How differently bent places of the source are that anchors of some rows lead to."""
-    difference = level.bends[0][anchors.vertices] - level.bends[1][rows]
-    return np.minimum(difference**2, MOST_BENT)
 
 
 def _staying(level: Level, anchors: Anchors, rows: Int[Any, "..."]) -> Float32[Any, "..."]:

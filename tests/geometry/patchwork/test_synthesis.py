@@ -10,9 +10,9 @@ from scipy.ndimage import gaussian_filter
 
 from flx.geometry.patchwork.anchors import Anchors, Surface, placed
 from flx.geometry.patchwork.appearance import ANGLES, EDGE, REACH, Source, gradients
+from flx.geometry.patchwork.guides import curvature
 from flx.geometry.patchwork.search import bank, distances, most_similar
 from flx.geometry.patchwork.synthesis import (
-    curvature,
     level_counts,
     own_places,
     pieces,
@@ -104,13 +104,6 @@ def test_the_gradient_of_a_linear_function_is_its_slope():
     inner = ~sheet.frames.boundary
     frame = sheet.x_axes[:, 0] + 1j * sheet.x_axes[:, 1]  # of each vertex, in the plane
     assert np.abs(slope * frame[:, None] - [2 - 1j, 1j])[inner].max() < 1e-3
-
-
-def test_curvature_is_that_of_balls_inside_and_out():
-    ball = icosphere(3)
-    hollow = Triangulation(ball.vertices, ball.faces[:, ::-1])
-    for shape, bend in ((ball, np.arcsinh(1)), (hollow, -np.arcsinh(1)), (square_grid(9), 0)):
-        assert np.abs(curvature(Surface(shape)) - bend).max() < 0.02
 
 
 def test_a_texture_of_one_colour_gives_that_colour():

@@ -1,0 +1,119 @@
+"""Laws of layouts: patchworks as codes, which follow what the network follows, and end where it begins."""
+
+import numpy as np
+import pytest
+from helpers.generators import ball_generator
+
+from flx.controls import INVENTION, Controls, Patches
+from flx.geometry.patchwork.synthesis import own_places
+from flx.pipeline.canvas import bake, open_canvas
+from flx.pipeline.instant import colors_from
+from flx.pipeline.layout import layouts, learnt_guides, run_guides
+from flx.pipeline.variations import controlled, generate, own_codes
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def begun(generator):
+    return layouts(generator, generator.home.triangulation, generator.asset, Controls())
+
+
+@pytest.fixture(scope="module")
+def layout(begun):
+    return next(begun.every([[0, 0]]))
+
+
+def test_the_input_as_a_patchwork_has_the_codes_of_the_input(generator, begun, layout):
+    same = begun.of(own_places(begun.patches.synthesis.levels[-1]))
+    own = own_codes(generator, generator.home.triangulation)
+    away, usual = (np.abs(z.codes - own).mean() for z in (same, layout))
+    assert away < 0.15 * usual
+
+
+def test_a_layout_depends_on_its_seed_alone(begun, layout):
+    again, other = begun.every([[0, 0], [0, 1]])
+    assert np.array_equal(layout.codes, again.codes) and not np.array_equal(layout.codes, other.codes)
+
+
+def painted(generator, painter) -> np.ndarray:
+    return bake(open_canvas(generator.asset, generator.home.triangulation), painter).colors
+
+
+def test_a_layout_that_the_network_leaves_gets_its_texels_back(generator, begun, layout):
+    """And one that it changes everywhere gets none."""
+    texels = colors_from(begun.patches, layout.anchors, "base_color", layout.shifts)
+    same = painted(generator, begun.finished(layout, layout.codes))
+    np.testing.assert_allclose(same, painted(generator, texels), atol=1 / 255)
+    blurred = painted(generator, generator.codec.decoder(layout.codes))
+    assert np.abs(blurred - same).mean() > 2 / 255
+    other = layout.codes + 100
+    changed, alone = (
+        painted(generator, painter)
+        for painter in (begun.finished(layout, other), generator.codec.decoder(other))
+    )
+    far = np.abs(alone - blurred).max(1) > 0.6
+    assert far.sum() > 5
+    np.testing.assert_allclose(changed[far], alone[far], atol=2 / 255)
+
+
+def test_the_less_is_invented_the_nearer_is_a_sample_to_its_layout(generator, begun, layout):
+    """The network is untrained, so it is the start alone that knows the layout."""
+    before = painted(generator, generator.codec.decoder(layout.codes))
+
+    def made(invention: float | None) -> np.ndarray:
+        return next(generate(generator, 1, steps=20, controls=Controls(invention=invention))).colors
+
+    away = [float(np.abs(made(share) - before).mean()) for share in (0.05, 0.5, 1.0)]
+    assert away[0] < away[1] < away[2]
+    np.testing.assert_array_equal(made(None), made(INVENTION))
+
+
+def test_the_network_alone_needs_no_layout(generator):
+    for how in (Controls(invention=1.0), Controls(strength=0.5)):
+        assert controlled(generator, how, generator.asset).layouts is None
+    assert controlled(generator, Controls(), generator.asset).layouts
+
+
+def test_labels_that_were_learnt_guide_the_layout(tmp_path):
+    labelled = ball_generator(tmp_path, labelled=True)
+    guides = learnt_guides(labelled, labelled.asset, Controls())
+    home = labelled.home.triangulation
+    assert labelled.labels
+    for side in guides:
+        assert side.labels
+        np.testing.assert_array_equal(side.labels(home), labelled.labels.numbers)
+    assert learnt_guides(labelled, labelled.asset, Controls(guidance=0.0))[0].labels is None
+    patches = layouts(labelled, home, labelled.asset, Controls()).patches
+    anchors, (source, target) = patches.sample(0), patches.synthesis.levels[-1].characters
+    assert (source.labels[anchors.vertices] == target.labels).mean() > 0.9
+
+
+def test_a_direction_that_was_learnt_guides_the_layout(tmp_path):
+    directed = ball_generator(tmp_path, direction="z")
+    own, other = learnt_guides(directed, directed.asset, Controls(rotate=90.0))
+    home = directed.home.triangulation
+    assert own.direction and other.direction
+    np.testing.assert_allclose(other.direction(home), 1j * own.direction(home), atol=1e-9)
+
+
+def test_what_was_not_learnt_is_left_to_files(generator):
+    assert run_guides(generator, generator.asset, Patches(), Controls()) is None
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ({"invention": 0.0}, "invention is 0.0; give more than 0 and at most 1"),
+        ({"invention": float("nan")}, "invention is nan; give a number"),
+        (
+            {"invention": 0.3, "strength": 0.5},
+            "strength is 0.5 and invention 0.3; give one: strength begins with the input, invention with "
+            "pieces",
+        ),
+    ],
+)
+def test_what_makes_no_sense_is_refused(how, message):
+    with pytest.raises(ValueError) as refusal:
+        Controls(**how)
+    assert str(refusal.value) in (message, f"controls.{message}")
