@@ -31,7 +31,8 @@ def test_a_file_is_accepted_before_it_is_spoilt(outcomes, name):
 def test_a_file_that_multiplies_work_is_read_soon_and_in_little_memory(outcomes, name):
     outcome = outcomes[name]
     assert outcome.status == 0 and not outcome.lines and "vertices" in outcome.said, outcome
-    assert outcome.seconds < 5 and outcome.megabytes < 1000, outcome
+    # Work that multiplies takes minutes; reading all of the largest file takes up to 5 s on slow machines.
+    assert outcome.seconds < 15 and outcome.megabytes < 1000, outcome
 
 
 @pytest.mark.slow

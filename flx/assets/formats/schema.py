@@ -57,6 +57,8 @@ def _check(value: Any, rule: Rule, place: str, document: dict) -> None:
             _check(child, rule[0], f"{place}[{index}]", document)
     elif isinstance(rule, int):
         as_many = isinstance(value, list) and len(value) == rule
+        if as_many and all(map(_is_number, value)):
+            return  # at once: there may be very many
         _check(value, [_number] if as_many else _must(lambda _: False, f"{rule} numbers"), place, document)
     elif wanted := rule(value, document):
         found = f"{place or 'the document'} is {repr(value)[:40]}"
@@ -70,6 +72,10 @@ def _check_textures(value: dict, place: str, document: dict) -> None:
             _check(child, TEXTURE, f"{place}.{key[:40]}", document)
         elif isinstance(child, dict) and key != "extras":
             _check_textures(child, f"{place}.{key[:40]}", document)
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
 
 
 def _must(holds: Callable[[Any], bool], wanted: str) -> Callable[[Any, dict], str]:
@@ -97,7 +103,7 @@ _object = _must(lambda value: isinstance(value, dict), "an object")
 _list = _must(lambda value: isinstance(value, list), "a list")
 _text = _must(lambda value: isinstance(value, str), "a text")
 _whole = _must(lambda value: type(value) is int and 0 <= value < 1 << 53, "a whole number")
-_number = _must(lambda value: type(value) in (int, float) and math.isfinite(value), "a number")
+_number = _must(_is_number, "a number")
 
 PLACED = {"offset": 2, "scale": 2, "rotation": _number, "texCoord": _whole}
 EXTENSIONS = {"KHR_texture_transform": PLACED}
