@@ -79,7 +79,8 @@ def test_a_saved_generator_has_its_direction(directed, tmp_path):
 
 
 def test_a_run_paints_by_its_own_direction_at_any_scale(directed):
-    home, *_, way = controlled(directed, Controls(scale=0.8), directed.asset)
+    found = controlled(directed, Controls(scale=0.8, invention=1.0), directed.asset)
+    home, way = found.home, found.direction
     assert way is not None and len(way) == len(home.triangulation.vertices) > 162
     wanted = field_on("z", home.triangulation)
     there = (way != 0) & (wanted != 0)

@@ -86,7 +86,8 @@ def test_a_saved_generator_has_its_labels(labelled, tmp_path):
 def test_a_run_paints_by_its_own_labels_at_any_scale(labelled):
     """Zones of the same heights; vertices at the borders see half of each."""
     for scale in (1.0, 0.7):
-        home, *_, numbers, _ = controlled(labelled, Controls(scale=scale), labelled.asset)
+        found = controlled(labelled, Controls(scale=scale, invention=1.0), labelled.asset)
+        home, numbers = found.home, found.labels
         assert numbers is not None and len(numbers) == len(home.triangulation.vertices)
         height = home.triangulation.vertices[:, 2]
         clear = np.minimum(np.abs(height + 0.4), np.abs(height - 0.5)) > 0.2
