@@ -10,8 +10,7 @@
     bank = fields.init_filter(jax.random.key(1), channels=4, features=8)
     y = fields.field_conv(tables.fine, x, bank)
 
-A mesh is given as its gather tables. Everything commutes with a change of frame, and works under `jit`, `grad`
-and `vmap`.
+All take a mesh as its gather tables, commute with a change of frame, and work under `jit`, `grad` and `vmap`.
 """
 
 from flx.fields.algebra import (
