@@ -4,7 +4,7 @@ EXTRAS ?= dev
 MESH ?=
 NAME := $(if $(MESH),$(basename $(notdir $(MESH))),demo)
 
-.PHONY: setup demo test test-fast bench vendor
+.PHONY: setup demo test test-fast docs bench vendor
 
 setup: $(VENV)/.installed
 
@@ -29,6 +29,13 @@ test: setup  # the linters and every test
 
 test-fast: setup  # without the linters and the slow tests
 	$(VENV)/bin/python -m pytest -m 'not slow'
+
+docs: $(VENV)/.docs  # the site, in build/docs; FLX_DOCS_EXECUTE=cache runs the notebooks in it
+	$(VENV)/bin/python -m sphinx -W --keep-going -q -c docs . build/docs
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[docs,notebook]'
+	@touch $@
 
 bench: setup  # timings of this machine, as JSON
 	$(VENV)/bin/flx bench

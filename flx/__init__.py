@@ -17,7 +17,8 @@
         flx.save(generator.asset, painting, f"variation_{n}.glb")
 
 The names below are loaded when they are first used: `import flx` loads neither JAX nor a mesh library. The
-rooms (`flx.geometry`, `flx.fields`, `flx.models` and others) may be imported too: docs/architecture.md.
+equations are in `flx.fields`, for JAX. The other rooms (`flx.geometry`, `flx.models`…) may be imported too,
+but may change: docs/architecture.md.
 """
 
 from importlib import import_module
@@ -35,12 +36,14 @@ if TYPE_CHECKING:
     from flx.config import FLDM, FLVAE, FLDMExperiment, FLVAEExperiment, Images, Surface, Train, quick
     from flx.controls import Controls, Patches
     from flx.evaluation.fidelity import fidelity
+    from flx.geometry.tables import mesh_tables
     from flx.pipeline.canvas import paint, picture
     from flx.pipeline.codec import load_codec
     from flx.pipeline.copies import triangulate
     from flx.pipeline.instant import patch_generator, patchworks
     from flx.pipeline.variations import generate
     from flx.training.load import load_generator
+    from flx.types import Triangulation
     from flx.viewer.notebook import show
 
 _HOME = {
@@ -51,6 +54,8 @@ _HOME = {
     "to_trimesh": "assets.arrays",
     "vase": "assets.vase:vase_asset",
     "triangulate": "pipeline.copies",
+    "mesh_tables": "geometry.tables",
+    "Triangulation": "types",
     "load_codec": "pipeline.codec",
     "paint": "pipeline.canvas",
     "picture": "pipeline.canvas",

@@ -14,6 +14,7 @@
 
 import contextlib
 import hashlib
+import io
 import os
 import platform
 import sys
@@ -87,6 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def command() -> int:
     """`main` as the process that a shell started."""
     use_large_pages()
+    if isinstance(sys.stdout, io.TextIOWrapper):  # letters that it cannot write are spelt out, as on stderr
+        sys.stdout.reconfigure(errors="backslashreplace")
     return main()
 
 

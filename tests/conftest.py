@@ -6,6 +6,9 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, settings
 
+if os.name != "posix":  # what these are about is signals, process groups and pipes as POSIX has them
+    collect_ignore = ["pipeline/test_workers.py", "reports", "test_stopping.py"]
+
 # Tests that run `flx` as a user does compile the same programs in several processes: once is enough.
 CACHE = Path(__file__).parent.parent / ".pytest_cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
@@ -17,6 +20,7 @@ settings.register_profile(
 settings.load_profile("flx")
 
 # Under nohup, or in the background of a script, signals are ignored, also by commands that tests start.
-for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
-    if signal.getsignal(_number) is signal.SIG_IGN:
+for _name, _handler in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):
+    _number = getattr(signal, _name, None)  # Windows has no SIGHUP
+    if _number is not None and signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, _handler)

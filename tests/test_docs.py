@@ -1,6 +1,9 @@
 """The documentation names what is there: links, files, modules, commands and their options."""
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -55,9 +58,53 @@ def test_the_front_page_fits():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 130
 
 
-def test_every_page_is_linked_from_the_front_page():
-    linked = LINK.findall((ROOT / "README.md").read_text())
-    assert {f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")} <= set(linked)
+def links_of(page: Path) -> list[tuple[Path, str]]:
+    """The files of the repository that a page links to, each with the heading that is meant."""
+    links = [link.partition("#") for link in LINK.findall(page.read_text()) if "://" not in link]
+    return [((page.parent / file).resolve() if file else page, heading) for file, _, heading in links]
+
+
+def test_links_lead_from_the_front_page_to_every_page():
+    found, ahead = set(), [ROOT / "README.md"]
+    while ahead:
+        page = ahead.pop()
+        if page not in found and page.suffix == ".md":
+            found.add(page)
+            ahead += [file for file, _ in links_of(page)]
+    assert set((ROOT / "docs").glob("*.md")) <= found
+
+
+def headings_of(page: Path) -> set[str]:
+    """The headings of a page as links name them."""
+    headings = re.findall(r"^#+ (.*)", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_heading_that_is_linked_exists(page):
+    named = [(file.name, heading) for file, heading in links_of(page) if heading]
+    pages = [file for file, heading in links_of(page) if heading]
+    assert set(named) <= {(file.name, heading) for file in pages for heading in headings_of(file)}
+
+
+def test_the_python_api_is_described_on_its_page():
+    described = set(
+        re.findall(r"^\.\. auto\w+:: ([\w.]+)", (ROOT / "docs" / "api.rst").read_text(), re.MULTILINE)
+    )
+    assert {f"flx.{name}" for name in flx.__all__ if name != "__version__"} <= described
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path):
+    for name in ("sphinx", "myst_nb", "furo"):
+        pytest.importorskip(name, reason="the extra `docs` is not installed: make setup EXTRAS=dev,docs")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-c", "docs", ".", str(tmp_path)]
+    environment = {**os.environ, "FLX_DOCS_EXECUTE": "off"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    pages = {path.relative_to(ROOT).with_suffix(".html") for path in PAGES if path.parent.name != "viewer"}
+    assert {page for page in pages if not (tmp_path / page).exists()} == set()
+    assert "flx.mesh_tables" in (tmp_path / "docs" / "api.html").read_text()
 
 
 def test_every_module_has_its_line_in_the_architecture():

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers.files import obj
 from PIL import Image
 
 from flx.assets.asset import own_painting
@@ -37,6 +38,18 @@ def vase(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("flx")
     write(asset := vase_asset(), own_painting(asset), folder / "vase.glb")
     return folder
+
+
+def test_a_name_that_the_output_cannot_spell_is_no_error(tmp_path):
+    """As where a report is sent to a file on a system whose letters are others than the mesh's."""
+    folder = tmp_path / "ünï 日本 dir"
+    folder.mkdir()
+    folder = obj()(folder).rename(folder / "kula 日本.obj").parent
+    command = [sys.executable, "-m", "flx.launch", "doctor", "kula 日本.obj"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "kula \\u65e5\\u672c.obj" in done.stdout
 
 
 @pytest.fixture(scope="module")

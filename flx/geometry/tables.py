@@ -33,13 +33,23 @@ class _Forest(NamedTuple):
 def mesh_tables(
     triangulation: Triangulation, slots: int = 16, seed: int = 0, coarse_count: int | None = None
 ) -> MeshTables:
-    """Both levels of one mesh copy; by default the coarse one has V // 4 vertices.
+    """The gather tables of a triangulation as it is: padded one-rings of two levels, and the pooling between.
 
-    Components are never pooled together: each has at least one coarse vertex, so W is
-    max(coarse_count, components). `seed` chooses where the sampling of each component starts.
+    Args:
+        triangulation: Vertices [V, 3] and faces [F, 3], manifold and oriented, open or closed.
+        slots: The most neighbours of a vertex, itself included; the table is as wide as the largest ring.
+        seed: Chooses where the sampling of each component starts.
+        coarse_count: Vertices of the coarse level; V // 4 unless given.
 
-    Raises:
-      ValueError: a vertex of either level has more neighbours than slots − 1; a coarse count outside 1..V.
+    Components are never pooled together: each has at least one coarse vertex, so there are
+    max(coarse_count, components) of them.
+
+    Raises ValueError where a vertex of either level has more neighbours than slots − 1, for a coarse count
+    outside 1..V, and for arrays that are not a surface.
+
+    Example:
+        tables = flx.mesh_tables(flx.Triangulation(vertices, faces))
+        tables.fine.logs, tables.fine.transports  # [V, K] complex
     """
     slots, seed = whole("slots", slots, 4), whole("seed", seed)
     exact = exact_tables(triangulation, slots, seed, coarse_count)

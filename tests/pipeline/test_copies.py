@@ -104,6 +104,7 @@ def test_a_copy_of_which_a_part_is_missing_is_made_again(tmp_path, made, asset, 
         assert_same(cache.load(seed), made.load(seed))
 
 
+@pytest.mark.skipif(os.name != "posix", reason="it kills a group of processes, which only POSIX has")
 def test_a_preparation_that_was_killed_goes_on_where_it_was(tmp_path, asset, codec):
     """`kill -9` after the first copy is there: what is there stays, and the rest is the same as ever."""
     surface = replace(SURFACE, copies=40)

@@ -106,6 +106,8 @@ def test_a_new_image_is_not_called_like_a_map_that_goes_along(tmp_path):
 
 
 def make_pipe(path: Path) -> None:
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("this system has no pipes among its files")
     os.mkfifo(path)
 
 
