@@ -6,7 +6,7 @@ from pathlib import Path
 from flx.arguments import number, path_of, whole
 from flx.config import check_all
 
-INVENTION = 0.3  # share of the noise schedule that the network decides, unless given
+INVENTION = 0.2  # share of the noise schedule that the network decides, unless given
 DIRECTIONS = "x, y, z, curvature, or a JSON file of strokes"
 
 
@@ -16,7 +16,7 @@ class Controls:
 
     strength: float = 1.0  # how far from the input: 0.3 changes details, 1 makes everything new
     # how much the network invents: motifs come from pieces of the input, and it draws them anew at so large
-    # a share of its noise; 1 is the network alone. 0.3, unless given
+    # a share of its noise; 1 is the network alone. 0.2, unless given
     invention: float | None = None
     keep: Path | None = None  # a mask as large as the texture: what is white stays as it is, to the bit
     fill: Path | None = None  # the same the other way round: what is white becomes new

@@ -149,7 +149,7 @@ def test_the_record_of_samples_grows_as_files_appear_and_loses_none(generator, t
     record = json.loads((out / "samples.json").read_bytes())
     assert record["files"] == ["variation_00.glb", "variation_01.glb"] and len(record["seam_ratios"]) == 2
     assert record["seed"] == 0 and record["step"] == 5
-    assert record["invention"] == 0.3 and record["steps"] == 8, "0.3 of 25"
+    assert record["invention"] == 0.2 and record["steps"] == 5, "0.2 of 25"
 
 
 @pytest.mark.slow
