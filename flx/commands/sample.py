@@ -203,7 +203,10 @@ def learnt_plan(options: Sample) -> Plan:
     rules = (decided, REPEATS if kept else None)
     chosen = sampler_named(options.sampler, generator.alphas, options.steps, *rules)
     other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
-    asset = prepared_for(other or generator.asset, options.format)
+    # Variants of a file share its other maps, so these stay as they are.
+    follow = options.controls.invented < 1 and not options.variants and options.format == "glb"
+    own = generator.asset_with_maps if follow else generator.asset
+    asset = prepared_for(other or own, options.format)
     check_labels(generator, options.controls, asset)
     check_direction(generator, options.controls, asset)
 
@@ -215,9 +218,9 @@ def learnt_plan(options: Sample) -> Plan:
 
     home = options.run if options.run.is_dir() else options.run.parent
     return Plan(
-        own=generator.asset,
+        own=own,
         asset=asset,
-        file=other or generator.asset,
+        file=other or own,
         up=options.up or generator.experiment.surface.up,
         kept=kept,
         usual=home / "samples",

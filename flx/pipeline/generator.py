@@ -24,7 +24,7 @@ from flx import __version__
 from flx.arguments import number
 from flx.assets.asset import Asset
 from flx.assets.formats.files import inside
-from flx.assets.read import read_asset
+from flx.assets.read import read_asset, read_with_maps
 from flx.config import FLDM, FLVAE, STEPS, FLDMExperiment, Sampler, from_json
 from flx.fields import samplers
 from flx.fields.algebra import tangent_noise
@@ -188,6 +188,14 @@ class Generator:
             write_atomically(inside(Path(folder.name), name), content)
         texture = self.source.texture and Path(folder.name, self.source.texture)
         return read_asset(Path(folder.name, self.source.mesh), texture or None)
+
+    @cached_property
+    def asset_with_maps(self) -> Asset:
+        """The same asset, with those other maps of its materials that can be read."""
+        asset = self.asset  # first: it writes the files
+        folder = Path(self.__dict__["_folder"].name)
+        texture = self.source.texture and folder / self.source.texture
+        return read_with_maps(folder / self.source.mesh, texture or None)._replace(digest=asset.digest)
 
 
 def sampler_named(

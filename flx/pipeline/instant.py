@@ -258,7 +258,9 @@ def open_canvases(generator: PatchGenerator, texture_size: int | None = None) ->
 
 def painted(generator: PatchGenerator, canvases: Sequence[Canvas], anchors: Anchors) -> Painting:
     """The maps of the target as its anchors find them in the source."""
-    shifts = color_shifts(generator.synthesis, anchors)
+    shifts = np.zeros((len(generator.triangulation.vertices), 3), np.float32)
+    if any(canvas.slot == "base_color" for canvas in canvases):
+        shifts = color_shifts(generator.synthesis, anchors)
     maps: dict[Slot, Images] = {}
     colors = Painting({}).colors
     for canvas in canvases:

@@ -6,7 +6,7 @@ closes the seams and draws details anew. Where it drew what was there, the texel
 codec blurs them.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex64, Float32
 
-from flx.assets.asset import Asset
+from flx.assets.asset import Asset, Images
 from flx.controls import Controls, Patches
 from flx.geometry.copies import points_in_rings, queries_at
 from flx.geometry.direction import carried, field_on
@@ -22,13 +22,21 @@ from flx.geometry.labels import labels_on
 from flx.geometry.patchwork.anchors import Anchors
 from flx.geometry.patchwork.guides import Guides
 from flx.geometry.tangent import tangent_frames
+from flx.pipeline.canvas import Canvas
 from flx.pipeline.codec import Codec
 from flx.pipeline.direction import read_direction
 from flx.pipeline.generator import Generator
 from flx.pipeline.inpainting import kept_texels
-from flx.pipeline.instant import PatchGenerator, color_shifts, colors_from, patches_on
+from flx.pipeline.instant import (
+    PatchGenerator,
+    color_shifts,
+    colors_from,
+    open_canvases,
+    painted,
+    patches_on,
+)
 from flx.pipeline.labels import read_labels
-from flx.types import Queries, RingSamples, Triangulation
+from flx.types import Queries, RingSamples, Slot, Triangulation
 
 ALIKE = 0.15  # difference of colours by which the network's result is another one than the layout's
 
@@ -61,6 +69,14 @@ class Layouts:
         rings = RingSamples(self.logs, colors.reshape(*self.logs.shape, 3))
         return Layout(anchors, shifts, self.codec.encode(rings))
 
+    def other_canvases(self, texture_size: int | None) -> list[Canvas]:
+        """Those of all maps but the base colours, which the network makes."""
+        return [c for c in open_canvases(self.patches, texture_size) if c.slot != "base_color"]
+
+    def other_maps(self, canvases: Sequence[Canvas], layout: Layout) -> Mapping[Slot, Images]:
+        """Other maps than the base colours, from where those begin."""
+        return painted(self.patches, canvases, layout.anchors).maps if canvases else {}
+
     def finished(
         self, layout: Layout, codes: Complex64[Any, "V D"]
     ) -> Callable[[Queries], Float32[Any, "P 3"]]:
@@ -80,7 +96,8 @@ def layouts(generator: Generator, triangulation: Triangulation, asset: Asset, co
     """Patchworks of the texture that a generator learnt, on a triangulation of an asset, as controls say."""
     patches = Patches(vertices=len(generator.home.triangulation.vertices))
     guides, kept = learnt_guides(generator, asset, controls), kept_texels(generator.asset, controls)
-    own = patches_on(triangulation, generator.asset, asset, patches, controls, guides, kept)
+    source = asset if asset.digest == generator.asset.digest else generator.asset  # it may have more maps
+    own = patches_on(triangulation, source, asset, patches, controls, guides, kept)
     points, logs = points_in_rings(triangulation, generator.codec.config.samples, np.random.default_rng(0))
     return Layouts(
         generator.codec, own, logs, queries_at(points, triangulation, tangent_frames(triangulation))

@@ -158,7 +158,7 @@ def generate(
         texture_size: Pixels on the longer side; the input's, at most 2048 (all where some are kept), unless
             given.
         asset: Another mesh to paint, from `flx.load_shape`; or the generator's own with an atlas, if it
-            came without one.
+            came without one, or with other maps (`generator.asset_with_maps`), which then follow in register.
         controls: What guides them, a `flx.Controls`.
         workers: Processes that look for pieces of the input; None: as many as this machine has room for. A
             script that asks for several must keep its own work under `if __name__ == "__main__":`.
@@ -181,6 +181,7 @@ def generate(
         texture_size = texture_size or max(held.kept.texels.shape)
     canvas = open_canvas(asset, home.triangulation, texture_size)
     repeats = REPEATS if held else None
+    others = begun.other_canvases(texture_size) if begun else []
     share = min(controls.strength, controls.invented)
     starts = begun.every([[seed, n] for n in range(count)], workers) if begun else repeat(None, count)
     for n, start in enumerate(starts):
@@ -189,7 +190,10 @@ def generate(
         codes = generator.sample(key, home, *rules, labels, controls.guidance, direction)
         painter = begun.finished(start, codes) if begun and start else generator.codec.decoder(codes)
         painting = bake(canvas, painter)
-        yield restored(held, canvas, painting) if held else painting
+        painting = restored(held, canvas, painting) if held else painting
+        if begun and start:
+            painting = painting._replace(maps={**painting.maps, **begun.other_maps(others, start)})
+        yield painting
 
 
 def reconstruct(generator: Generator, texture_size: int | None = None) -> Painting:

@@ -1,10 +1,14 @@
 """Laws of layouts: patchworks as codes, which follow what the network follows, and end where it begins."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from helpers.generators import ball_generator
+from pipeline.test_instant import BALL
 
 from flx.controls import INVENTION, Controls, Patches
+from flx.geometry.atlas import atlas_texels
 from flx.geometry.patchwork.synthesis import own_places
 from flx.pipeline.canvas import bake, open_canvas
 from flx.pipeline.instant import colors_from
@@ -67,6 +71,27 @@ def test_the_less_is_invented_the_nearer_is_a_sample_to_its_layout(generator, be
     away = [float(np.abs(made(share) - before).mean()) for share in (0.05, 0.5, 1.0)]
     assert away[0] < away[1] < away[2]
     np.testing.assert_array_equal(made(None), made(INVENTION))
+
+
+def test_other_maps_follow_the_layout(generator):
+    """Roughness that is the colours comes from where the layout's colours come from."""
+    base = BALL.mesh.maps["base_color"]
+    mesh = BALL.mesh._replace(maps={"base_color": base, "metallic_roughness": base})
+    sources = {"base_color": BALL.textures, "metallic_roughness": BALL.textures}
+    own = dataclasses.replace(generator)
+    own.__dict__["asset"] = BALL
+    asset = BALL._replace(mesh=mesh, sources=sources)
+    new = next(generate(own, 1, steps=20, asset=asset, texture_size=64))
+    begun = layouts(own, own.home.triangulation, asset, Controls())
+    layout = next(begun.every([[0, 0]]))
+    before = bake(
+        open_canvas(BALL, own.home.triangulation, 64),
+        colors_from(begun.patches, layout.anchors, "base_color", 0 * layout.shifts),
+    )
+    shown = atlas_texels(BALL.mesh, 0, *before.images[0].shape[:2]).covered
+    assert np.abs(new.maps["metallic_roughness"][0].astype(int) - before.images[0])[shown].max() <= 1
+    assert np.abs(new.images[0].astype(int) - before.images[0])[shown].mean() > 2
+    assert set(next(generate(own, 1, steps=20, texture_size=64)).maps) == {"base_color"}
 
 
 def test_the_network_alone_needs_no_layout(generator):

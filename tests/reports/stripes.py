@@ -124,7 +124,9 @@ def measure(run: Path, picture: Path | None, count: int) -> None:
     print(told("input", [lines(surface, asset.mesh, vectors())]))
     paintings = []
     for name, how in WAYS.items():
-        made = list(flx.generate(generator, count, texture_size=512, controls=flx.Controls(invention=1.0, **how)))
+        made = list(
+            flx.generate(generator, count, texture_size=512, controls=flx.Controls(invention=1.0, **how))
+        )
         print(told(name, [lines(surface, shown(asset, p), vectors(**how)) for p in made]), flush=True)
         paintings.append(made[0])
     if picture:
