@@ -24,10 +24,11 @@ html_copy_source = False
 
 myst_heading_anchors = 3  # links to headings, as in `formats.md#strokes`
 suppress_warnings = ["myst.header", "misc.highlighting_failure"]  # pages may begin with any heading
-# Notebooks are stored without results. FLX_DOCS_EXECUTE=cache runs them: about five minutes, the first time.
+# Notebooks are stored without results. FLX_DOCS_EXECUTE=cache runs them: about five minutes on slow cores.
 nb_execution_mode = os.environ.get("FLX_DOCS_EXECUTE", "off")
 nb_execution_timeout = 900
 nb_execution_raise_on_error = True
+nb_merge_streams = True  # a progress bar is one block
 
 highlight_language = "text"  # of blocks that name none: commands
 default_role = "code"  # docstrings write names in single backticks

@@ -176,8 +176,8 @@ def learnt_plan(options: Sample) -> Plan:
     from flx.assets.formats.readers import READERS
     from flx.assets.shape import read_shape
     from flx.assets.unwrap import prepared_for
+    from flx.fields.samplers import sampler_named
     from flx.pipeline.codec import digest_of
-    from flx.pipeline.generator import sampler_named
     from flx.pipeline.inpainting import REPEATS, kept_texels
     from flx.pipeline.transfer import vertex_count
     from flx.pipeline.variations import check_direction, check_labels, generate

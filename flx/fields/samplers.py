@@ -123,6 +123,30 @@ def repeated(sampler: Sampler, alphas: Float64[np.ndarray, "T"], length: int, ti
     return sampler._replace(table=table)
 
 
+def sampler_named(
+    name: str,
+    alphas: Float64[np.ndarray, "T"],
+    steps: int,
+    strength: float = 1.0,
+    repeats: tuple[int, int] | None = None,
+) -> Sampler:
+    """A sampler of the last `strength` of a schedule, with as large a share of `steps`, some repeated.
+
+    Raises ValueError for a name that is not known, and for more steps than the schedule has.
+    """
+    alphas, steps = alphas[: 1 + max(1, round(strength * (len(alphas) - 1)))], max(1, round(strength * steps))
+    if name == "ancestral":
+        chosen = ancestral(alphas)
+    elif name in SPACED:
+        chosen = SPACED[name](alphas, steps)
+    else:
+        raise ValueError(f"there is no sampler {name!r}; choose one of ddim, dpm, ancestral")
+    return repeated(chosen, alphas, *repeats) if repeats else chosen
+
+
+SPACED = {"ddim": ddim, "dpm": dpm_solver}  # those that take as many steps as they are told
+
+
 def nothing(z: Array) -> tuple[()]:
     """The memory of a sampler without memory."""
     return ()

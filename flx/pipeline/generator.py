@@ -11,7 +11,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple, cast, get_args
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -119,7 +120,7 @@ class Generator:
         if not 0 < strength <= 1:
             raise ValueError(f"strength is {strength}; give more than 0 and at most 1")
         strength = 1.0 if near is None else strength
-        chosen = sampler_named(sampler, self.alphas, steps, strength, repeats)
+        chosen = samplers.sampler_named(sampler, self.alphas, steps, strength, repeats)
         tables = jax.tree.map(jnp.asarray, (copy or self.home).tables)
         start, signal = np.zeros((len(tables.fine.masses), self.codec.config.latents), np.complex64), 0.0
         if near is not None and strength < 1:
@@ -174,49 +175,32 @@ class Generator:
         """The labels of the asset's surface, None where it has none."""
         if self.labels is None or self.source.labels is None:
             return None
-        asset = self.asset  # first: it writes the files
-        path = Path(self.__dict__["_folder"].name, self.source.labels)
-        return read_labels(path, asset, self.labels.palette)
+        path = Path(self._folder.name, self.source.labels)
+        return read_labels(path, self.asset, self.labels.palette)
 
     @cached_property
     def asset(self) -> Asset:
         """The asset that it learnt from, read from its own files."""
-        folder = temporary_folder()
-        # The folder lives as long as the generator: an OBJ copies its maps when it is written.
-        self.__dict__["_folder"] = folder
-        for name, content in self.source.files.items():
-            write_atomically(inside(Path(folder.name), name), content)
-        texture = self.source.texture and Path(folder.name, self.source.texture)
-        return read_asset(Path(folder.name, self.source.mesh), texture or None)
+        return read_asset(*self._files())
 
     @cached_property
     def asset_with_maps(self) -> Asset:
         """The same asset, with those other maps of its materials that can be read."""
-        asset = self.asset  # first: it writes the files
-        folder = Path(self.__dict__["_folder"].name)
-        texture = self.source.texture and folder / self.source.texture
-        return read_with_maps(folder / self.source.mesh, texture or None)._replace(digest=asset.digest)
+        return read_with_maps(*self._files())._replace(digest=self.asset.digest)
 
+    def _files(self) -> tuple[Path, Path | None]:
+        texture = self.source.texture
+        return Path(self._folder.name, self.source.mesh), Path(
+            self._folder.name, texture
+        ) if texture else None
 
-def sampler_named(
-    name: str,
-    alphas: Float64[np.ndarray, "T"],
-    steps: int,
-    strength: float = 1.0,
-    repeats: tuple[int, int] | None = None,
-) -> samplers.Sampler:
-    """A sampler of the last `strength` of a schedule, with as large a share of `steps`, some repeated.
-
-    Raises ValueError for a name that is not known, and for more steps than the schedule has.
-    """
-    alphas, steps = alphas[: 1 + max(1, round(strength * (len(alphas) - 1)))], max(1, round(strength * steps))
-    if name not in get_args(Sampler):
-        raise ValueError(f"there is no sampler {name!r}; choose one of {', '.join(get_args(Sampler))}")
-    if name == "ancestral":
-        chosen = samplers.ancestral(alphas)
-    else:
-        chosen = {"ddim": samplers.ddim, "dpm": samplers.dpm_solver}[name](alphas, steps)
-    return samplers.repeated(chosen, alphas, *repeats) if repeats else chosen
+    @cached_property
+    def _folder(self) -> TemporaryDirectory[str]:
+        """Its files, for as long as it lives: an OBJ copies its maps when it is written."""
+        folder = temporary_folder()
+        for name, content in self.source.files.items():
+            write_atomically(inside(Path(folder.name), name), content)
+        return folder
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
