@@ -97,7 +97,8 @@ def generator(tmp_path, monkeypatch) -> SimpleNamespace:
     home = SimpleNamespace(triangulation=Triangulation(np.zeros((4, 3)), np.zeros((2, 3), np.int64)))
     experiment = SimpleNamespace(surface=Surface())
     schedule = np.linspace(1, 0.1, 101)
-    made = SimpleNamespace(params={}, alphas=schedule, asset=asset, home=home, step=5, experiment=experiment)
+    rest = {"asset": asset, "asset_with_maps": asset, "home": home, "experiment": experiment}
+    made = SimpleNamespace(params={}, alphas=schedule, step=5, **rest)
     monkeypatch.setattr("flx.training.load.load_generator", lambda _: made)
     monkeypatch.setattr("flx.pipeline.variations.generate", lambda g, n, *_: iter([own_painting(asset)] * n))
     monkeypatch.setattr("flx.pipeline.variations.check_labels", lambda *_: None)
