@@ -85,9 +85,7 @@ class FLVAE:
 
     def __post_init__(self) -> None:
         check_all("model", self, channels=1, layers=0, heads=1, latents=1, invariants=0, samples=1)
-        check_all(
-            "model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=1, sharpness=1
-        )
+        check_all("model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=1, sharpness=1)
         invariants, vectors = self.invariants, self.latents - self.invariants
         if self.encoder == "transformer" and invariants:
             raise ValueError(f"model.invariants is {invariants}; make it 0, since the transformer has none")
@@ -131,12 +129,8 @@ class FLDM:
     precision: Precision = "bfloat16"
 
     def __post_init__(self) -> None:
-        check_all(
-            "model", self, channels=1, filter_width=1, vn_layers=1, embedding=4, conditions=0, steps=1
-        )
-        check_all(
-            "model", self, beta_start=0, beta_end=0, emphasis=0, label_dropout=0, direction_dropout=0
-        )
+        check_all("model", self, channels=1, filter_width=1, vn_layers=1, embedding=4, conditions=0, steps=1)
+        check_all("model", self, beta_start=0, beta_end=0, emphasis=0, label_dropout=0, direction_dropout=0)
         for name in ("label_dropout", "direction_dropout"):
             if getattr(self, name) > 1:
                 raise ValueError(f"model.{name} is {getattr(self, name)}; give a probability, 0 to 1")
