@@ -40,8 +40,10 @@ $(VENV)/.docs: $(VENV)/.installed
 bench: setup  # timings of this machine, as JSON
 	$(VENV)/bin/flx bench
 
-vendor:  # three.js for the viewer, bundled again from the npm registry; needs Node. docs/credits.md has the hash
+vendor:  # three.js and three-mesh-bvh for the pages, bundled again from the npm registry; needs Node. docs/credits.md has the hashes
 	cd vendor && npm ci --silent && npm run --silent build
-	{ echo "/*! three.js $$(node -p 'require("./vendor/node_modules/three/package.json").version')"; \
-	  cat vendor/node_modules/three/LICENSE; echo '*/'; cat vendor/three.min.js; } > flx/viewer/three.min.js
-	sha256sum flx/viewer/three.min.js
+	for name in three three-mesh-bvh; do \
+	  { echo "/*! $$name $$(node -p "require('./vendor/node_modules/$$name/package.json').version")"; \
+	    cat vendor/node_modules/$$name/LICENSE; echo '*/'; cat vendor/$$name.min.js; } \
+	    > flx/viewer/$$name.min.js; done
+	sha256sum flx/viewer/*.min.js
