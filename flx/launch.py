@@ -4,6 +4,7 @@
   flx train MESH|CONFIG.py prepare (cached) and train; the same command resumes
   flx sample RUN           new textures from a run
   flx labels MESH          a proposal for labels, which say what goes where
+  flx paint MESH           labels, masks and directions, painted in a browser
   flx reconstruct MESH     a texture through the FL-VAE and back, with its metrics
   flx evaluate             a table: how well each method keeps the textures of some meshes
   flx bench                timings of this machine
@@ -27,7 +28,7 @@ from pathlib import Path
 from flx import __version__
 from flx.stopping import ended_by_signals
 
-COMMANDS = ("doctor", "sample", "labels", "reconstruct", "evaluate", "bench")  # and train
+COMMANDS = ("doctor", "sample", "labels", "paint", "reconstruct", "evaluate", "bench")  # and train
 ALLOCATOR = {"hugetlb": 1, "mmap_threshold": 2**33, "trim_threshold": 2**34}  # thresholds in bytes
 PROGRAM_BYTES = 2**29  # kept of compiled programs; the least recently used go first
 
@@ -47,12 +48,13 @@ def parse(words: Sequence[str]) -> Callable[[], None]:
     from flx.commands.doctor import Doctor
     from flx.commands.evaluate import Evaluate
     from flx.commands.labels import ProposeLabels
+    from flx.commands.paint import Paint
     from flx.commands.reconstruct import Reconstruct
     from flx.commands.sample import Sample
 
     app = SubcommandApp()
     app.command(name="train")(train.command(words[1:] if words[0] == "train" else ()))
-    commands = (Doctor, Sample, ProposeLabels, Reconstruct, Evaluate, Bench)
+    commands = (Doctor, Sample, ProposeLabels, Paint, Reconstruct, Evaluate, Bench)
     for name, command in zip(COMMANDS, commands, strict=True):
         app.command(name=name)(command)
     return app.cli(prog="flx", args=words)

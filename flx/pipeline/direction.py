@@ -40,14 +40,14 @@ def read_direction(said: str, asset: Asset) -> Direction:
             f"direction {said} does not exist; give {', '.join(WORDS)}, or a JSON file of strokes"
         )
     try:
-        direction = said if file is None else _strokes(read_file(file))
+        direction = said if file is None else strokes_of(read_file(file))
         check_direction(direction, asset.mesh)
     except ValueError as fault:
         raise ValueError(f"direction {said}: {fault}") from None
     return direction
 
 
-def _strokes(content: bytes) -> tuple[Stroke, ...]:
+def strokes_of(content: bytes) -> tuple[Stroke, ...]:
     """The strokes of a file. Raises ValueError for what is none, with its place and the remedy."""
     if len(content) > MOST_BYTES:
         raise ValueError(f"it has {len(content):,} bytes; give at most {MOST_BYTES:,}")

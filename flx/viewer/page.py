@@ -24,7 +24,7 @@ from flx.viewer.surface import Surface, packed, surface
 
 LIMIT = 15_000_000  # bytes of a page: mail servers take attachments of 20 MB and more
 NAME = "viewer.html"
-PARTS = ("page.html", "page.css", "page.js", "three.min.js")
+STYLES, SCRIPTS = ("page.css",), ("three.min.js", "page.js")
 
 
 class Shot(NamedTuple):
@@ -84,7 +84,7 @@ def page(
             numbers: dict[bytes, int] = {}
             for entry, images in zip(data["paintings"], fit.images, strict=True):
                 entry["pictures"] = [numbers.setdefault(image, len(numbers)) for image in images]
-            data["pictures"] = [_url("jpeg", image) for image in numbers]
+            data["pictures"] = [url("jpeg", image) for image in numbers]
             data["notes"] = _notes(some, fit.longest, fit.quality, len(shots))
             return _html(title, data)
         count -= max(1, count // 4)
@@ -116,28 +116,33 @@ def _alphas(asset: Asset, surface: Surface) -> list[str | None]:
     """The alpha of each texture, where a material uses it."""
     used = {group["image"] for group in surface.data["groups"] if group["alpha_mode"] != "OPAQUE"}
     alphas = [texture.alpha if n in used else None for n, texture in enumerate(asset.textures)]
-    return [None if alpha is None else _url("png", alpha_png(alpha)) for alpha in alphas]
+    return [None if alpha is None else url("png", alpha_png(alpha)) for alpha in alphas]
 
 
 def _html(title: str, data: Mapping[str, Any]) -> bytes:
-    """The page: what is ours and the library inside it, by their hashes the only scripts that may run."""
-    ours = {name: (files("flx.viewer") / name).read_text("utf-8") for name in PARTS}
-    scripts = [ours["three.min.js"], ours["page.js"]]
-    hashes = " ".join(f"'sha256-{_base64(hashlib.sha256(script.encode()).digest())}'" for script in scripts)
+    return html("page.html", STYLES, SCRIPTS, title=title, data=data)
+
+
+def html(
+    name: str, styles: Sequence[str], scripts: Sequence[str], title: str, data: Mapping[str, Any]
+) -> bytes:
+    """A page with its styles, scripts and data inside it; by their hashes the scripts are the only ones that
+    may run."""
+    read = {one: (files("flx.viewer") / one).read_text("utf-8") for one in (name, *styles, *scripts)}
+    hashes = (_base64(hashlib.sha256(read[script].encode()).digest()) for script in scripts)
     # In a script element only "<" could end it, or begin a comment.
     text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    filled = Template(ours["page.html"]).substitute(
+    filled = Template(read[name]).substitute(
         title=escape(title),
-        hashes=hashes,
-        style=ours["page.css"],
-        three=scripts[0],
-        script=scripts[1],
+        hashes=" ".join(f"'sha256-{one}'" for one in hashes),
+        style="".join(read[style] for style in styles),
+        scripts="\n".join(f"<script>{read[script]}</script>" for script in scripts),
         data=text,
     )
     return filled.encode("utf-8", "replace")  # a name may be of no text
 
 
-def _url(kind: str, content: bytes) -> str:
+def url(kind: str, content: bytes) -> str:
     return f"data:image/{kind};base64,{_base64(content)}"
 
 

@@ -27,7 +27,7 @@ class Fit(NamedTuple):
 def master(image: UInt[Any, "_ _ 3"]) -> bytes:
     """A JPEG of at most 1024 pixels on the longer side, to wait in: large textures need not be held."""
     pixels = np.right_shift(image, 8).astype(np.uint8) if image.dtype == np.uint16 else image
-    return jpeg(_at_most(pixels, LARGEST), MASTER)
+    return jpeg(at_most(pixels, LARGEST), MASTER)
 
 
 def jpeg(image: UInt8[Any, "_ _ 3"], quality: int) -> bytes:
@@ -55,7 +55,7 @@ def _encode(masters: Sequence[bytes], longest: int, quality: int, room: int) -> 
     encoded = []
     for content in masters:
         pixels = np.asarray(Image.open(io.BytesIO(content), formats=["JPEG"]))
-        encoded.append(jpeg(_at_most(pixels, longest), quality))
+        encoded.append(jpeg(at_most(pixels, longest), quality))
         room -= len(encoded[-1])
         if room < 0:
             return None
@@ -70,7 +70,7 @@ def alpha_png(alpha: UInt8[Any, "H W"]) -> bytes:
     return content.getvalue()
 
 
-def _at_most(image: UInt8[Any, "_ _ 3"], longest: int) -> UInt8[Any, "_ _ 3"]:
+def at_most(image: UInt8[Any, "_ _ 3"], longest: int) -> UInt8[Any, "_ _ 3"]:
     height, width = image.shape[:2]
     share = min(1.0, longest / max(height, width))
     return resized(image, max(1, round(height * share)), max(1, round(width * share)))

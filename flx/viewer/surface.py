@@ -100,10 +100,10 @@ def rows_of(mesh: TexturedMesh, corner_vertices: Int[Any, "F 3"]) -> tuple[Rows,
     return rows, low, step
 
 
-def packed(array: np.ndarray) -> str:
-    """The bytes of an array, little-endian, deflated, in base64."""
+def packed(array: np.ndarray, level: int = 6) -> str:
+    """The bytes of an array, little-endian, deflated at a level of zlib, in base64."""
     little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-    return base64.b64encode(zlib.compress(little.tobytes(), 6)).decode()
+    return base64.b64encode(zlib.compress(little.tobytes(), level)).decode()
 
 
 def look(asset: Asset, material: int, factors: Mapping[int, Sequence[float | int]]) -> Look:
