@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.slab import SIDE, slab, texel_places
+from helpers.surfaces import torus
+from helpers.textured import noise
 from PIL import Image
 
+from flx.assets.arrays import from_arrays
 from flx.geometry.atlas import fill_gutter
 from flx.pipeline.direction import read_direction
 from flx.pipeline.inpainting import read_mask
@@ -95,15 +98,31 @@ def test_strokes_are_read_back_as_a_direction(tmp_path):
     assert StrokePainter(slab(), painter.out, start=painter.out).strokes == strokes
 
 
-def test_texels_are_counted_as_the_page_counts_faces():
-    """Faces go by image there; the owner of a texel shows it at the page's texture coordinates, too."""
-    data = TexelPainter(slab(), Path("x.png"), "labels", SIZE).data()
-    unpack = lambda name, kind: np.frombuffer(zlib.decompress(base64.b64decode(data[name])), kind)  # noqa: E731
-    owners, uvs = unpack("owners", np.int32), unpack("uvs", np.float64).reshape(-1, 3, 2)
+def unpacked(data, name: str, kind) -> np.ndarray:
+    return np.frombuffer(zlib.decompress(base64.b64decode(data[name])), kind)
+
+
+def test_faces_are_numbered_as_the_page_draws_them():
+    """They go by where they lie: neighbours share an edge, owners show their texels, groups are compact."""
+    ring = torus(60, 40)
+    corners = ring.vertices[ring.faces]
+    uvs = 0.25 + corners[..., :2] / 6 + (corners.mean(1)[:, 2] < 0)[:, None, None] * [0.5, 0]
+    data = TexelPainter(from_arrays(*ring, uvs, noise(64, 64)), Path("x.png"), "labels", SIZE).data()
+    positions = unpacked(data, "positions", np.float32).reshape(-1, 3)
+    across = unpacked(data, "across", np.int32)
+    for k, other in ((1, 2), (2, 1)):  # of a closed surface whose faces agree
+        own, there = (c - c % 3 + (c + n) % 3 for c, n in ((np.arange(len(across)), k), (across, other)))
+        assert (positions[own] == positions[there]).all()
+
+    owners, uvs = unpacked(data, "owners", np.int32), unpacked(data, "uvs", np.float64).reshape(-1, 3, 2)
     texels = np.flatnonzero(owners >= 0)
     centres = (np.stack([texels % SIDE, texels // SIDE], 1) + 0.5) / SIDE
     low, high = uvs[owners[texels]].min(1), uvs[owners[texels]].max(1)
     assert len(texels) > 1000 and ((centres > low - 1 / SIDE) & (centres < high + 1 / SIDE)).all()
+
+    groups = [np.arange(3 * g["start"], 3 * (g["start"] + g["count"])) for g in data["groups"]]
+    assert (np.concatenate(groups) == np.arange(len(positions))).all() and len(groups) > 3
+    assert max(np.ptp(positions[group], axis=0).max() for group in groups) < 1.3
 
 
 def test_texels_that_several_places_show_are_said():

@@ -148,6 +148,11 @@ def test_a_stroke_goes_on_over_a_seam_and_not_through_the_board(paint):
     # Up to the seam, on both sides of it: no gap of more than two texels.
     for side in (left, right):
         assert np.abs(places[there][side, 0]).min() < 2 * 0.8 / (0.9 * SIDE / 4)
+    seen.page.click("#undo")
+    seen.click(-0.01, 0.1)  # one dab on the left of it paints the right, too
+    middle, radius = seen.hit(-0.01, 0.1)
+    inside = front & (np.linalg.norm(places - middle, axis=1) < 0.95 * radius)
+    assert middle[0] < 0 and (places[inside][:, 0] > 0).sum() > 20 and (seen.numbers() == 1)[inside].all()
 
 
 def test_a_brush_at_the_rim_goes_around_it_by_the_length_of_the_way(paint):
