@@ -5,28 +5,23 @@ texels on which nothing is painted. Directions are strokes, which need no atlas.
 """
 
 import base64
-import io
 import json
-import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Int, UInt8
-from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from flx.assets.asset import Asset, Texture
 from flx.assets.formats.files import read_file
-from flx.assets.formats.images import open_image
 from flx.assets.inspect import coverage
 from flx.assets.tints import tinted
 from flx.files import write_atomically
 from flx.geometry.arrays import distinct_rows
-from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
+from flx.geometry.atlas import Atlas, atlas_texels
 from flx.geometry.color import eight_bits, quantized, resized
 from flx.geometry.direction import check_direction
 from flx.geometry.joints import Joints, bridges, followers, joints_of, similar
@@ -36,36 +31,27 @@ from flx.geometry.render import corner_normals
 from flx.pipeline.direction import MOST_BYTES, strokes_of
 from flx.pipeline.labels import read_labels
 from flx.types import TexturedMesh
+from flx.viewer.drawings import (
+    CHANGE,
+    KEEP,
+    Drawing,
+    Label,
+    checked_labels,
+    foreign_drawing,
+    labels_png,
+    own_drawing,
+)
 from flx.viewer.page import html, url
 from flx.viewer.pictures import at_most, jpeg
 from flx.viewer.server import Answer, Answers
 from flx.viewer.surface import packed as packed_at
 
 Mode = Literal["labels", "keep", "direction"]
-KEY = "flx labels"  # the text of a PNG that names its labels
-LONGEST_NAME = 60
 SHARPEST = 2048  # pixels on the longer side of a texture that the page shows
 REST = "#808080"  # the colour of what is not painted
 
 
 packed = partial(packed_at, level=1)  # quick: it goes no farther than this machine
-
-
-class Label(NamedTuple):
-    """What texels can be painted with."""
-
-    name: str
-    color: str  # as #rrggbb
-
-
-CHANGE, KEEP = Label("change", "#000000"), Label("keep", "#ffffff")
-
-
-class Drawing(NamedTuple):
-    """What is painted: the label of each texel. The first label is that of texels without paint."""
-
-    labels: tuple[Label, ...]
-    numbers: UInt8[Any, "H W"]
 
 
 class Painter:
@@ -195,7 +181,7 @@ class TexelPainter(Painter):
         if start is None:
             first = Label("label 1", hexadecimal(PALETTE[0]))
             return Drawing((Label("rest", REST), first), np.zeros(shape, np.uint8))
-        drawing = own_drawing(start) or _foreign_drawing(start, self.asset)
+        drawing = own_drawing(start) or foreign_drawing(start, self.asset)
         rows, columns = (
             ((np.arange(new) + 0.5) * old / new).astype(int)
             for new, old in zip(shape, drawing.numbers.shape, strict=True)
@@ -330,82 +316,6 @@ def _cells(mesh: TexturedMesh) -> Int[Any, "F"]:
     count = max(1, round((len(places) / 1000) ** 0.5))  # along the longest side
     cells = np.minimum((places - low) / span * count, count - 1).astype(np.int64)
     return cells @ [count * count, count, 1]
-
-
-# --- files
-
-
-def labels_png(drawing: Drawing, atlas: Atlas) -> bytes:
-    """An indexed PNG: one flat colour for each label, in the gutters too; the names of labels as a text."""
-    filled = fill_gutter(np.repeat(drawing.numbers[..., None], 3, 2), atlas.covered)
-    image, content, names = Image.fromarray(np.ascontiguousarray(filled[..., 0])), io.BytesIO(), PngInfo()
-    colors = [bytes.fromhex(label.color[1:]) for label in drawing.labels]
-    image.putpalette(b"".join(colors))
-    names.add_itxt(KEY, json.dumps([label._asdict() for label in drawing.labels]))
-    image.save(content, "PNG", pnginfo=names)
-    return content.getvalue()
-
-
-def own_drawing(path: Path) -> Drawing | None:
-    """What `labels_png` wrote, to the texel; None for another image.
-
-    Raises ValueError for a file that is not there or is no image.
-    """
-    if not path.exists():
-        raise ValueError(f"{path} does not exist; leave out --start for an empty one")
-    image: Any = open_image(read_file(path), path.name)
-    if image.mode != "P" or KEY not in getattr(image, "text", {}):
-        return None
-    numbers = np.asarray(image)
-    try:
-        labels = checked_labels(json.loads(image.text[KEY]))
-    except (ValueError, RecursionError):
-        return None
-    palette = np.array(image.getpalette(), np.uint8).reshape(-1, 3)[: len(labels)]
-    same = [hexadecimal(color) for color in palette] == [label.color for label in labels]
-    return Drawing(labels, numbers) if same and numbers.max(initial=0) < len(labels) else None
-
-
-def _foreign_drawing(path: Path, asset: Asset) -> Drawing:
-    """The labels of another program's image."""
-    found = read_labels(path, asset)
-    if not found.mesh.textures:
-        raise ValueError(f"{path} has its labels at vertices; give an image of labels")
-    colors = [hexadecimal(color) for color in found.palette]
-    rest = next(c for c in (f"#{128 + k:02x}8080" for k in range(MOST)) if c not in colors)
-    labels = (Label("rest", rest), *(Label(color, color) for color in colors))
-    if len(labels) > MOST:
-        raise ValueError(f"{path} has {len(colors)} labels; one of at most {MOST} is needed for the rest")
-    return Drawing(labels, (found.numbers + 1).astype(np.uint8))
-
-
-def checked_labels(value: Any) -> tuple[Label, ...]:
-    """Labels as JSON holds them. Raises ValueError for what is none."""
-    if not isinstance(value, list) or not 2 <= len(value) <= MOST:
-        raise ValueError(f"labels are not a list of 2 to {MOST}")
-    labels = []
-    for k, entry in enumerate(value):
-        name, color = (entry.get(key) if isinstance(entry, dict) else None for key in ("name", "color"))
-        if (
-            not isinstance(name, str)
-            or not name.strip()
-            or len(name) > LONGEST_NAME
-            or not name.isprintable()
-        ):
-            raise ValueError(f"label {k} has no name of 1 to {LONGEST_NAME} printable letters; give it one")
-        if not isinstance(color, str) or not _is_color(color):
-            raise ValueError(f"label {k}, {name!r}, has no colour such as #ff8800; give it one")
-        labels.append(Label(name.strip(), color.lower()))
-    colors: Sequence[str] = [label.color for label in labels]
-    for k, color in enumerate(colors):
-        if color in colors[:k]:
-            one, other = labels[colors.index(color)].name, labels[k].name
-            raise ValueError(f"{one!r} and {other!r} have one colour, {color}; change one of them")
-    return tuple(labels)
-
-
-def _is_color(text: str) -> bool:
-    return re.fullmatch("#[0-9a-fA-F]{6}", text) is not None
 
 
 def _json(body: bytes) -> Mapping[str, Any]:

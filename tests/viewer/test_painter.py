@@ -17,7 +17,8 @@ from flx.geometry.atlas import fill_gutter
 from flx.pipeline.direction import read_direction
 from flx.pipeline.inpainting import read_mask
 from flx.pipeline.labels import read_labels
-from flx.viewer.painter import StrokePainter, TexelPainter, own_drawing
+from flx.viewer.drawings import own_drawing
+from flx.viewer.painter import StrokePainter, TexelPainter
 
 SIZE = SIDE, SIDE
 LABELS = [
