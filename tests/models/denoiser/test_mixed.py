@@ -1,9 +1,12 @@
 """Laws of the denoiser of vector and invariant fields side by side."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.compiling import compiled
 from helpers.frames import as_complex, fields, frames, relative, tables_of, turn_of, turned
 from helpers.surfaces import icosphere, torus
 
@@ -15,19 +18,34 @@ from flx.models.denoiser.unet import denoise
 
 pytestmark = pytest.mark.slow
 
-CONFIG = FLDM(network="mixed", latents=4, invariants=2, channels=6, embedding=16, precision="float32")
+CONFIG = FLDM(
+    network="mixed", latents=4, invariants=2, channels=6, embedding=16, conditions=2, precision="float32"
+)
+TABLES = tables_of(icosphere(2))
+COUNT = len(TABLES.fine.masses)
+Z = tangent_noise(jax.random.key(0), (COUNT, 4))
+RHO = jax.random.normal(jax.random.key(9), (COUNT, 2))
+
+
+@functools.cache
+def denoiser():
+    """(network, parameters, ε̂ as a function of parameters, tables, z, t, ρ), compiled once for both laws."""
+    network = MixedDenoiser(CONFIG, (1, 1, 2))
+    params = compiled(network.init)(jax.random.key(2), TABLES, Z, jnp.float32(30), RHO)
+    return network, params, compiled(functools.partial(denoise, network))
 
 
 def test_a_block_turns_with_the_frames():
-    tables = tables_of(icosphere(2))
+    tables = TABLES
     x, t = fields(len(tables.fine.masses))
     alpha = frames(len(x))
     block = MixedBlock(CONFIG)
     start = (real_pairs(x), real_pairs(t))
-    params = block.init(jax.random.key(2), start, of_rings(tables.fine), jnp.ones(16))
+    params = compiled(block.init)(jax.random.key(2), start, of_rings(tables.fine), jnp.ones(16))
+    apply = compiled(block.apply)
 
     def run(x: jax.Array, rings) -> list[jax.Array]:
-        pairs, _ = block.apply(params, (real_pairs(x), start[1]), of_rings(rings), jnp.ones(16))  # type: ignore
+        pairs, _ = apply(params, (real_pairs(x), start[1]), of_rings(rings), jnp.ones(16))  # type: ignore
         return [as_complex(f) for f in pairs]
 
     here, still = run(x, tables.fine)
@@ -47,28 +65,20 @@ def test_a_block_that_adds_nothing_is_the_identity():
 
 
 def test_the_denoiser_turns_its_vectors_and_not_its_invariants():
-    tables = tables_of(icosphere(2))
-    z = tangent_noise(jax.random.key(0), (len(tables.fine.masses), 4))
-    network = MixedDenoiser(CONFIG, (1, 1, 2))
-    params = network.init(jax.random.key(2), tables, z, jnp.float32(30))
-    alpha = frames(len(z))
-    turn = jnp.concatenate([turn_of(alpha)] * 2 + [jnp.ones((len(z), 2))], 1)
-    here = denoise(network, params, tables, z, jnp.float32(30))
-    there = denoise(network, params, turned(tables, alpha), z * turn, jnp.float32(30))
+    _, params, answer = denoiser()
+    alpha = frames(COUNT)
+    turn = jnp.concatenate([turn_of(alpha)] * 2 + [jnp.ones((COUNT, 2))], 1)
+    here = answer(params, TABLES, Z, jnp.float32(30), RHO)
+    there = answer(params, turned(TABLES, alpha), Z * turn, jnp.float32(30), RHO)
     assert relative(there, here * turn) < 1e-5 and np.abs(here).max() > 1e-3
-    assert relative(denoise(network, params, tables, z, jnp.float32(900)), here) > 1e-3
+    assert relative(answer(params, TABLES, Z, jnp.float32(900), RHO), here) > 1e-3
 
 
 def test_the_denoiser_takes_conditions():
-    config = FLDM(**{**CONFIG.__dict__, "conditions": 2})
-    tables = tables_of(icosphere(1))
-    z = tangent_noise(jax.random.key(0), (42, 4))
-    network = MixedDenoiser(config, (1, 1, 1))
-    rho = jnp.zeros((42, 2))
-    params = network.init(jax.random.key(2), tables, z, jnp.float32(30), rho)
-    here = denoise(network, params, tables, z, jnp.float32(30), rho)
-    assert relative(denoise(network, params, tables, z, jnp.float32(30), rho + 1), here) > 1e-3
+    network, params, answer = denoiser()
+    t = jnp.float32(30)
+    assert relative(answer(params, TABLES, Z, t, RHO + 1), answer(params, TABLES, Z, t, RHO)) > 1e-3
     with pytest.raises(ValueError, match="make them equal"):
-        denoise(network, params, tables, z, jnp.float32(30))
+        denoise(network, params, TABLES, Z, t)
     with pytest.raises(ValueError, match=r"direction has 1 vectors a vertex; model.directions is 0: make"):
-        denoise(network, params, tables, z, jnp.float32(30), rho, z[:, :1])
+        denoise(network, params, TABLES, Z, t, RHO, Z[:, :1])

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.compiling import compiled
 from helpers.frames import frames, renumbered, turned
 from helpers.surfaces import uneven_sphere
 
@@ -34,10 +35,6 @@ NETWORKS = {
 SPHERE = uneven_sphere(0, 200)
 COUNT = len(SPHERE.vertices)
 STEP = 300.0
-# What is compiled here runs a few times.
-compiled = functools.partial(
-    jax.jit, compiler_options={"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-)
 
 
 class Trained(NamedTuple):
