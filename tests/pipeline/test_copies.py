@@ -24,7 +24,6 @@ from flx.assets.read import read_asset
 from flx.config import Surface
 from flx.geometry.copies import make_copy
 from flx.geometry.tables import mesh_tables
-from flx.machine import Memory
 from flx.pipeline import copies
 from flx.pipeline.codec import Codec, initial_params
 from flx.pipeline.copies import Cache, Prepared, load_tables, open_cache, prepare, save_tables
@@ -201,14 +200,6 @@ def test_where_memory_runs_out_the_copies_so_far_are_kept_and_counted(
     told = f"a worker died; 1 of 2 copies are kept in {tmp_path}; the same command makes the rest"
     assert str(death.value) == f"{told}, and --workers 1 needs the least memory"
     assert_same(cache.load(7), made.load(7))
-
-
-def test_workers_fit_into_the_free_memory_and_are_no_more_than_processors(monkeypatch):
-    monkeypatch.setattr(copies, "processors", lambda: 6)
-    monkeypatch.setattr(copies, "memory", lambda: Memory(64e9, 10e9))
-    assert [copies._workers(each) for each in (1e8, 2e9, 3e9, 1e11)] == [6, 4, 2, 1]
-    monkeypatch.setattr(copies, "memory", lambda: None)
-    assert copies._workers(1e12) == 6
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system does not tell the peak")

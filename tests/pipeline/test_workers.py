@@ -9,8 +9,9 @@ import time
 import pytest
 from helpers.processes import python, runs, said, wait_until
 
+from flx.machine import Memory
 from flx.pipeline import workers
-from flx.pipeline.workers import in_processes
+from flx.pipeline.workers import in_processes, workers_for
 
 WORKING = """
 import sys
@@ -96,3 +97,11 @@ def test_ctrl_c_while_workers_start_is_one_line(tmp_path):
     os.killpg(child.pid, signal.SIGINT)
     assert said(child).split("\r")[-1] == "flx: stopped by SIGINT; 2 of 9 are kept\n"
     assert child.wait(10) == 130
+
+
+def test_workers_fit_into_the_free_memory_and_are_no_more_than_processors(monkeypatch):
+    monkeypatch.setattr(workers, "processors", lambda: 6)
+    monkeypatch.setattr(workers, "memory", lambda: Memory(64e9, 10e9))
+    assert [workers_for(each) for each in (1e8, 2e9, 3e9, 1e11)] == [6, 4, 2, 1]
+    monkeypatch.setattr(workers, "memory", lambda: None)
+    assert workers_for(1e12) == 6
