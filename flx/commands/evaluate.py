@@ -76,6 +76,10 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         folder = (source if source.is_dir() else source.parent) / "evaluation"
         if not samples:
             others["codec"] = shown(asset, reconstruct(generator, size))
+    elif not (samples or options.instant):
+        raise ValueError(
+            f"{source} is a mesh; name the meshes to judge after --samples, add --instant, or give a run"
+        )
     else:
         asset = read_asset(source) if source else vase_asset()
     if options.instant:
@@ -85,10 +89,6 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     elif generator and not samples:
         rules = (options.count, options.seed, options.steps, options.sampler, size)
         made = generate(generator, *rules, controls=Controls(invention=options.invention), workers=None)
-    elif not samples:
-        raise ValueError(
-            f"{source} is a mesh; name the meshes to judge after --samples, add --instant, or give a run"
-        )
     if made:
         stage(f"making {options.count} variations")
         made = tqdm(made, "variations", options.count, dynamic_ncols=True)
