@@ -11,7 +11,7 @@ from helpers.processes import python, runs, said, wait_until
 
 from flx.machine import Memory
 from flx.pipeline import workers
-from flx.pipeline.workers import in_processes, workers_for
+from flx.pipeline.workers import in_order, in_processes, workers_for
 
 WORKING = """
 import sys
@@ -33,6 +33,11 @@ def test_every_task_is_answered_once():
 
 
 @pytest.mark.slow
+def test_results_are_put_in_the_order_of_their_tasks():
+    ready = ((n, str(n)) for n in (2, 0, 1, 4, 3))
+    assert list(in_order(ready)) == ["0", "1", "2", "3", "4"]
+
+
 def test_an_error_comes_back_with_the_place_where_it_was_raised():
     with pytest.raises(ValueError, match="math domain error") as error:
         list(in_processes(math.sqrt, (), [(-1,), (4,)], 2))
