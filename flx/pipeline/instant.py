@@ -244,14 +244,16 @@ def patchworks(
         yield painted(generator, canvases, anchors)
 
 
-def open_canvases(generator: PatchGenerator, texture_size: int | None = None) -> list[Canvas]:
-    """One for each map that both the target and the source have."""
+def open_canvases(
+    generator: PatchGenerator, texture_size: int | None = None, slots: Sequence[Slot] = SLOTS
+) -> list[Canvas]:
+    """One for each of these maps that both the target and the source have."""
     if generator.held:
         texture_size = texture_size or max(generator.held.kept.texels.shape)
     both = generator.target.mesh.maps.keys() & generator.mesh.maps.keys()
     return [
         open_canvas(generator.target, generator.triangulation, texture_size, slot)
-        for slot in SLOTS
+        for slot in slots
         if slot in both
     ]
 

@@ -36,7 +36,7 @@ from flx.pipeline.instant import (
     patches_on,
 )
 from flx.pipeline.labels import read_labels
-from flx.types import Queries, RingSamples, Slot, Triangulation
+from flx.types import SLOTS, Queries, RingSamples, Slot, Triangulation
 
 ALIKE = 0.15  # difference of colours by which the network's result is another one than the layout's
 
@@ -71,7 +71,7 @@ class Layouts:
 
     def other_canvases(self, texture_size: int | None) -> list[Canvas]:
         """Those of all maps but the base colours, which the network makes."""
-        return [c for c in open_canvases(self.patches, texture_size) if c.slot != "base_color"]
+        return open_canvases(self.patches, texture_size, [slot for slot in SLOTS if slot != "base_color"])
 
     def other_maps(self, canvases: Sequence[Canvas], layout: Layout) -> Mapping[Slot, Images]:
         """Other maps than the base colours, from where those begin."""
