@@ -5,17 +5,11 @@
   const at = (id) => document.getElementById(id);
   const stage = at("stage"), canvas = at("canvas"), panes = at("panes"), handle = at("handle");
   const { paintings, meshes, pictures } = data;
-  const MOST = 6, FIELD = (25 * Math.PI) / 180, HOME = { azimuth: Math.PI / 6, elevation: Math.PI / 9, zoom: 1 };
+  const MOST = 6;
   const show = { wireframe: false, seams: false, unlit: false };
   let mode = "grid", split = 0.5, drawing = false;
   let chosen = paintings.map((_, n) => n).slice(0, MOST); // the panes of the grid
   let before = 0, after = Math.min(1, paintings.length - 1), sheet = after;
-
-  function element(tag, text, more = {}) {
-    const made = Object.assign(document.createElement(tag), more);
-    made.textContent = text;
-    return made;
-  }
 
   // --- the bytes of the page
 
@@ -161,44 +155,8 @@
 
   // --- the camera, which all panes share
 
-  const camera = { ...HOME, x: 0, y: 0, z: 0 };
-
-  function lens() {
-    const { azimuth: a, elevation: e, zoom } = camera;
-    const towards = [Math.cos(e) * Math.sin(a), Math.sin(e), Math.cos(e) * Math.cos(a)];
-    const right = [Math.cos(a), 0, -Math.sin(a)];
-    const up = [-Math.sin(e) * Math.sin(a), Math.cos(e), -Math.sin(e) * Math.cos(a)];
-    return { towards, right, up, distance: (1.02 / Math.sin(FIELD / 2)) * zoom };
-  }
-
-  function turn(dx, dy) {
-    camera.azimuth -= dx;
-    camera.elevation = Math.max(-1.55, Math.min(1.55, camera.elevation + dy));
-    draw();
-  }
-
-  function zoom(share) {
-    camera.zoom = Math.max(0.02, Math.min(6, camera.zoom * share));
-    draw();
-  }
-
-  function pan(dx, dy) { // in shares of the height of a pane
-    const { right, up, distance } = lens(), length = 2 * distance * Math.tan(FIELD / 2);
-    ["x", "y", "z"].forEach((axis, k) => (camera[axis] += length * (dy * up[k] - dx * right[k])));
-    draw();
-  }
-
-  function reset() {
-    Object.assign(camera, HOME, { x: 0, y: 0, z: 0 });
-    draw();
-  }
-
+  const { aim, drag, keys, reset } = turntable(canvas, draw);
   const pointers = new Map();
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    zoom(Math.exp(Math.max(-200, Math.min(200, event.deltaY)) * 0.0015));
-  }, { passive: false });
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, event);
@@ -206,28 +164,12 @@
   for (const name of ["pointerup", "pointercancel"])
     canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
   canvas.addEventListener("pointermove", (event) => {
-    const last = pointers.get(event.pointerId);
-    if (!last) return;
-    const dx = event.clientX - last.clientX, dy = event.clientY - last.clientY, height = rectangles()[0]?.height || 400;
-    const other = [...pointers.values()].find((one) => one.pointerId !== event.pointerId);
-    pointers.set(event.pointerId, event);
-    if (other) {
-      const length = (one) => Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY);
-      pan(dx / 2 / height, dy / 2 / height);
-      zoom(Math.max(1, length(last)) / Math.max(1, length(event)));
-    } else if (event.shiftKey || event.buttons & 6) pan(dx / height, dy / height);
-    else turn((dx / Math.min(height, 600)) * Math.PI, (dy / Math.min(height, 600)) * Math.PI);
+    if (pointers.has(event.pointerId)) drag(pointers, event, rectangles()[0]?.height || 400, 6);
   });
   canvas.addEventListener("keydown", (event) => {
-    const step = Math.PI / 24;
-    const actions = {
-      ArrowLeft: () => turn(-step, 0), ArrowRight: () => turn(step, 0),
-      ArrowUp: () => turn(0, step), ArrowDown: () => turn(0, -step),
-      "+": () => zoom(0.9), "=": () => zoom(0.9), "-": () => zoom(1 / 0.9), 0: reset,
-    };
-    if (!actions[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!keys[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
-    actions[event.key]();
+    keys[event.key]();
   });
 
   // --- drawing, when something changed
@@ -243,18 +185,6 @@
     });
   }
 
-  function aim(width, height) {
-    const { towards, up, distance } = lens(), aspect = width / height;
-    eye.aspect = aspect;
-    eye.fov = ((2 * Math.atan(Math.tan(FIELD / 2) / Math.min(1, aspect))) * 180) / Math.PI;
-    eye.near = Math.max(distance / 1000, distance - 4);
-    eye.far = distance + 8;
-    eye.position.set(...towards.map((t, k) => camera["xyz"[k]] + t * distance));
-    eye.up.set(...up);
-    eye.lookAt(camera.x, camera.y, camera.z);
-    eye.updateProjectionMatrix();
-  }
-
   function paint(number) {
     const painting = paintings[number], one = surfaces[painting.mesh];
     one.body.material = painting.materials;
@@ -268,7 +198,7 @@
     const { left, top, width, height } = rectangle, bottom = stage.clientHeight - top - height;
     renderer.setViewport(left, bottom, width, height);
     renderer.setScissor(left + from * width, bottom, (to - from) * width, height);
-    aim(width, height);
+    aim(eye, width, height);
   }
 
   function drawNow() {
@@ -313,7 +243,7 @@
     renderer.setSize(176, 132, false);
     renderer.setViewport(0, 0, 176, 132);
     renderer.setScissor(0, 0, 176, 132);
-    aim(176, 132);
+    aim(eye, 176, 132);
     paint(number);
     made.getContext("2d").drawImage(canvas, 0, 0);
     return made;

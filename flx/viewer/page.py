@@ -24,7 +24,7 @@ from flx.viewer.surface import Surface, packed, surface
 
 LIMIT = 15_000_000  # bytes of a page: mail servers take attachments of 20 MB and more
 NAME = "viewer.html"
-STYLES, SCRIPTS = ("page.css",), ("three.min.js", "page.js")
+STYLES, LIBRARIES, SCRIPTS = ("page.css",), ("three.min.js",), ("camera.js", "page.js")
 
 
 class Shot(NamedTuple):
@@ -120,23 +120,30 @@ def _alphas(asset: Asset, surface: Surface) -> list[str | None]:
 
 
 def _html(title: str, data: Mapping[str, Any]) -> bytes:
-    return html("page.html", STYLES, SCRIPTS, title=title, data=data)
+    return html("page.html", STYLES, LIBRARIES, SCRIPTS, title=title, data=data)
 
 
 def html(
-    name: str, styles: Sequence[str], scripts: Sequence[str], title: str, data: Mapping[str, Any]
+    name: str,
+    styles: Sequence[str],
+    libraries: Sequence[str],
+    scripts: Sequence[str],
+    title: str,
+    data: Mapping[str, Any],
 ) -> bytes:
-    """A page with its styles, scripts and data inside it; by their hashes the scripts are the only ones that
-    may run."""
-    read = {one: (files("flx.viewer") / one).read_text("utf-8") for one in (name, *styles, *scripts)}
-    hashes = (_base64(hashlib.sha256(read[script].encode()).digest()) for script in scripts)
+    """A page with its styles, libraries, own scripts (as one) and data inside it; by their hashes these are
+    the only scripts that may run."""
+    names = (name, *styles, *libraries, *scripts)
+    read = {one: (files("flx.viewer") / one).read_text("utf-8") for one in names}
+    running = [*(read[one] for one in libraries), "".join(read[one] for one in scripts)]
+    hashes = (_base64(hashlib.sha256(script.encode()).digest()) for script in running)
     # In a script element only "<" could end it, or begin a comment.
     text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     filled = Template(read[name]).substitute(
         title=escape(title),
         hashes=" ".join(f"'sha256-{one}'" for one in hashes),
         style="".join(read[style] for style in styles),
-        scripts="\n".join(f"<script>{read[script]}</script>" for script in scripts),
+        scripts="\n".join(f"<script>{script}</script>" for script in running),
         data=text,
     )
     return filled.encode("utf-8", "replace")  # a name may be of no text

@@ -3,14 +3,7 @@
 (async () => {
   const at = (id) => document.getElementById(id);
   const stage = at("stage"), canvas = at("canvas");
-  const FIELD = (25 * Math.PI) / 180, HOME = { azimuth: Math.PI / 6, elevation: Math.PI / 9, zoom: 1 };
   const UNDO_BYTES = 2 ** 28, OVERLAYS = { keep: ["#000000", "#12a37a"] };
-
-  function element(tag, text, more = {}) {
-    const made = Object.assign(document.createElement(tag), more);
-    made.textContent = text;
-    return made;
-  }
 
   function say(line, fault = false) {
     at("status").textContent = line;
@@ -409,27 +402,11 @@
   body.frustumCulled = false;
   root.add(body);
 
-  const camera = { ...HOME, x: 0, y: 0, z: 0 };
+  const camera = turntable(canvas, () => draw()), { reset } = camera;
   let drawing = false, dirty = []; // dirty: the boxes of the picture to draw again; null for all of it
 
-  function lens() {
-    const { azimuth: a, elevation: e, zoom } = camera;
-    const towards = [Math.cos(e) * Math.sin(a), Math.sin(e), Math.cos(e) * Math.cos(a)];
-    const right = [Math.cos(a), 0, -Math.sin(a)];
-    const up = [-Math.sin(e) * Math.sin(a), Math.cos(e), -Math.sin(e) * Math.cos(a)];
-    return { towards, right, up, distance: (1.02 / Math.sin(FIELD / 2)) * zoom };
-  }
-
   function aim() {
-    const { towards, up, distance } = lens(), aspect = stage.clientWidth / stage.clientHeight;
-    eye.aspect = aspect;
-    eye.fov = ((2 * Math.atan(Math.tan(FIELD / 2) / Math.min(1, aspect))) * 180) / Math.PI;
-    eye.near = Math.max(distance / 1000, distance - 4);
-    eye.far = distance + 8;
-    eye.position.set(...towards.map((t, k) => camera["xyz"[k]] + t * distance));
-    eye.up.set(...up);
-    eye.lookAt(camera.x, camera.y, camera.z);
-    eye.updateProjectionMatrix();
+    camera.aim(eye, stage.clientWidth, stage.clientHeight);
     eye.updateMatrixWorld(true);
   }
 
@@ -478,28 +455,6 @@
     seenFrom.applyMatrix4(eye.projectionMatrix);
     const pixel = (2 * depth * Math.tan((eye.fov * Math.PI) / 360)) / stage.clientHeight;
     return [((seenFrom.x + 1) / 2) * stage.clientWidth, ((1 - seenFrom.y) / 2) * stage.clientHeight, pixel];
-  }
-
-  function turn(dx, dy) {
-    camera.azimuth -= dx;
-    camera.elevation = Math.max(-1.55, Math.min(1.55, camera.elevation + dy));
-    draw();
-  }
-
-  function zoom(share) {
-    camera.zoom = Math.max(0.02, Math.min(6, camera.zoom * share));
-    draw();
-  }
-
-  function pan(dx, dy) { // in shares of the height of the picture
-    const { right, up, distance } = lens(), length = 2 * distance * Math.tan(FIELD / 2);
-    ["x", "y", "z"].forEach((axis, k) => (camera[axis] += length * (dy * up[k] - dx * right[k])));
-    draw();
-  }
-
-  function reset() {
-    Object.assign(camera, HOME, { x: 0, y: 0, z: 0 });
-    draw();
   }
 
   function colorScheme() {
@@ -711,11 +666,6 @@
     rings = boxes;
   }
 
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    zoom(Math.exp(Math.max(-200, Math.min(200, event.deltaY)) * 0.0015));
-  }, { passive: false });
   canvas.addEventListener("pointerdown", (event) => {
     try {
       canvas.setPointerCapture(event.pointerId);
@@ -741,7 +691,7 @@
     });
   canvas.addEventListener("pointerleave", () => ring([]));
   canvas.addEventListener("pointermove", (event) => {
-    const last = pointers.get(event.pointerId), [x, y] = where(event);
+    const [x, y] = where(event);
     at("middle").hidden = true;
     if (pen) {
       const ways = event.getCoalescedEvents ? event.getCoalescedEvents() : [];
@@ -749,26 +699,13 @@
       if (event.pointerType !== "touch") ring(hits(x, y));
       return;
     }
-    if (!last) return ring(hits(x, y));
-    const dx = event.clientX - last.clientX, dy = event.clientY - last.clientY, tall = stage.clientHeight;
-    const other = [...pointers.values()].find((one) => one.pointerId !== event.pointerId);
-    pointers.set(event.pointerId, event);
-    if (other) {
-      const length = (one) => Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY);
-      pan(dx / 2 / tall, dy / 2 / tall);
-      zoom(Math.max(1, length(last)) / Math.max(1, length(event)));
-    } else if (event.shiftKey || event.buttons & 4) pan(dx / tall, dy / tall);
-    else turn((dx / Math.min(tall, 600)) * Math.PI, (dy / Math.min(tall, 600)) * Math.PI);
+    if (!pointers.has(event.pointerId)) return ring(hits(x, y));
+    camera.drag(pointers, event, stage.clientHeight, 4);
   });
 
   // --- keys
 
-  const angle = Math.PI / 24;
-  const onCanvas = {
-    ArrowLeft: () => turn(-angle, 0), ArrowRight: () => turn(angle, 0),
-    ArrowUp: () => turn(0, angle), ArrowDown: () => turn(0, -angle),
-    "+": () => zoom(0.9), "=": () => zoom(0.9), "-": () => zoom(1 / 0.9), 0: reset, " ": inTheMiddle,
-  };
+  const onCanvas = { ...camera.keys, " ": inTheMiddle };
   const anywhere = {
     b: () => choose("brush"), x: () => choose("erase"), i: () => choose("chart"), p: () => choose("part"),
     c: () => choose("similar"), v: () => choose("turn"), "[": () => resize(size / 1.2), "]": () => resize(size * 1.2),
