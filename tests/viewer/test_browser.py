@@ -1,12 +1,12 @@
 """The viewer in Debian's Chromium: what is clicked is seen. Skipped, with a reason, without a browser."""
 
 import io
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.browser import NEEDED
 from helpers.files import colored_ball
 from PIL import Image
 
@@ -16,21 +16,8 @@ from flx.assets.read import read_asset
 from flx.geometry.render import render
 from flx.viewer.page import page, shot
 
-playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install '.[browser]'")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
-]
+pytestmark = NEEDED
 SIZE = {"width": 900, "height": 640}
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator["playwright.Browser"]:
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=CHROMIUM)
-        yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")

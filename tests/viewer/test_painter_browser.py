@@ -4,7 +4,6 @@ Skipped, with a reason, without a browser. An oracle in NumPy says where the poi
 """
 
 import re
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.browser import NEEDED
 from helpers.slab import DISC, EXTENTS, SIDE, slab, texel_places
 from helpers.surfaces import torus
 
@@ -22,23 +22,10 @@ from flx.pipeline.inpainting import read_mask
 from flx.viewer.painter import Painter, StrokePainter, TexelPainter
 from flx.viewer.server import Loopback
 
-playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install '.[browser]'")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
-]
+pytestmark = NEEDED
 VIEW = {"width": 900, "height": 600}
 PIXELS = 24  # the radius of the brush at the start
 HALF = float(np.linalg.norm(EXTENTS)) / 2
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator["playwright.Browser"]:
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=CHROMIUM)
-        yield opened
-        opened.close()
 
 
 class Seen:
