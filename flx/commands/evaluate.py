@@ -54,6 +54,7 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     from flx.geometry.render import contact_sheet, render
     from flx.pipeline.canvas import VIEWS, check_size, shown
     from flx.pipeline.instant import patch_generator, patchworks
+    from flx.pipeline.transfer import LEAST
     from flx.pipeline.variations import generate, reconstruct
     from flx.training.load import load_generator
 
@@ -83,8 +84,8 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     else:
         asset = read_asset(source) if source else vase_asset()
     if options.instant:
-        vertices = len(generator.home.triangulation.vertices) if generator else Patches().vertices
-        patches = patch_generator(asset, Patches(vertices=vertices))
+        count = len(generator.home.triangulation.vertices) if generator else Patches().vertices
+        patches = patch_generator(asset, Patches(vertices=max(count, LEAST)))
         made = patchworks(patches, options.count, options.seed, size, None)
     elif generator and not samples:
         rules = (options.count, options.seed, options.steps, options.sampler, size)

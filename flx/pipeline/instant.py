@@ -131,11 +131,12 @@ def patch_generator(
         triangulation = remesh(target.mesh.vertices, target.mesh.faces, count, seed)
     except ValueError as fault:
         raise ValueError(f"{target.path}: {fault} (--vertices)") from None
-    return patches_on(triangulation, asset, target, patches, controls, guides, kept, seed)
+    return patches_on(triangulation, patches.vertices, asset, target, patches, controls, guides, kept, seed)
 
 
 def patches_on(
     triangulation: Triangulation,
+    vertices: int,
     asset: Asset,
     target: Asset,
     patches: Patches,
@@ -144,7 +145,7 @@ def patches_on(
     kept: Kept | None,
     seed: int = 0,
 ) -> PatchGenerator:
-    """A `patch_generator` on a triangulation of the target; `patches.vertices` is for one of the asset."""
+    """A `patch_generator` on a triangulation of the target; one of the asset would have so many vertices."""
     mesh, count = with_filled_gutters(asset.mesh), len(triangulation.vertices)
     surface, same = Triangulation(target.mesh.vertices, target.mesh.faces), target.digest == asset.digest
     held, free, damaged = None, None, None
@@ -159,7 +160,7 @@ def patches_on(
             damaged = mesh.with_layer(images=tuple(images))
     # How much larger than in the input details are in the units of the files, which may not be the same.
     size = np.sqrt(face_areas(*surface).sum() / face_areas(mesh.vertices, mesh.faces).sum())
-    scale = float(size * np.sqrt(patches.vertices / count))
+    scale = float(size * np.sqrt(vertices / count))
     synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same, guides)
     weights = Weights(patches.guide, controls.guidance)
     return PatchGenerator(asset, target, mesh, synthesis, patches, held, weights)

@@ -94,10 +94,10 @@ class Layouts:
 
 def layouts(generator: Generator, triangulation: Triangulation, asset: Asset, controls: Controls) -> Layouts:
     """Patchworks of the texture that a generator learnt, on a triangulation of an asset, as controls say."""
-    patches = Patches(vertices=len(generator.home.triangulation.vertices))
+    vertices = len(generator.home.triangulation.vertices)
     guides, kept = learnt_guides(generator, asset, controls), kept_texels(generator.asset, controls)
     source = asset if asset.digest == generator.asset.digest else generator.asset  # it may have more maps
-    own = patches_on(triangulation, source, asset, patches, controls, guides, kept)
+    own = patches_on(triangulation, vertices, source, asset, Patches(), controls, guides, kept)
     points, logs = points_in_rings(triangulation, generator.codec.config.samples, np.random.default_rng(0))
     return Layouts(
         generator.codec, own, logs, queries_at(points, triangulation, tangent_frames(triangulation))

@@ -97,7 +97,7 @@ def generator(tmp_path, monkeypatch) -> SimpleNamespace:
     home = SimpleNamespace(triangulation=Triangulation(np.zeros((4, 3)), np.zeros((2, 3), np.int64)))
     experiment = SimpleNamespace(surface=Surface())
     schedule = np.linspace(1, 0.1, 101)
-    rest = {"asset": asset, "asset_with_maps": asset, "home": home, "experiment": experiment}
+    rest = {"asset": asset, "asset_with_maps": asset._replace(), "home": home, "experiment": experiment}
     made = SimpleNamespace(params={}, alphas=schedule, step=5, **rest)
     monkeypatch.setattr("flx.training.load.load_generator", lambda _: made)
     monkeypatch.setattr("flx.pipeline.variations.generate", lambda g, n, *_: iter([own_painting(asset)] * n))
@@ -129,6 +129,26 @@ def test_samples_by_labels_that_were_painted_over_go_elsewhere(generator, tmp_pa
     assert sample(guided) == first
     labels.write_bytes(b"painted over")
     assert sample(guided) != first
+
+
+def test_other_maps_follow_where_the_file_holds_them_and_there_are_pieces(generator, tmp_path, monkeypatch):
+    painted = []
+
+    def generate(_, count, seed, steps, sampler, texture_size, asset, *rest):
+        painted.append(asset)
+        return iter([own_painting(asset)] * count)
+
+    monkeypatch.setattr("flx.pipeline.variations.generate", generate)
+    for options in (
+        {},
+        {"variants": True},
+        {"format": "obj"},
+        {"controls": Controls(invention=1.0)},
+        {"controls": Controls(strength=0.5)},
+    ):
+        sample(Sample(tmp_path / "run", count=1, viewer=False, **options))
+    assert painted[0] is generator.asset_with_maps
+    assert all(asset is generator.asset for asset in painted[1:]) and len(painted) == 5
 
 
 def test_the_record_of_samples_grows_as_files_appear_and_loses_none(generator, tmp_path, monkeypatch):

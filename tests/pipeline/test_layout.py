@@ -10,7 +10,10 @@ from pipeline.test_instant import BALL
 from flx.controls import INVENTION, Controls, Patches
 from flx.geometry.atlas import atlas_texels
 from flx.geometry.patchwork.synthesis import own_places
+from flx.geometry.remesh.remesh import remesh
+from flx.geometry.tables import mesh_tables
 from flx.pipeline.canvas import bake, open_canvas
+from flx.pipeline.generator import Home
 from flx.pipeline.instant import colors_from
 from flx.pipeline.layout import layouts, learnt_guides, run_guides
 from flx.pipeline.variations import controlled, generate, own_codes
@@ -92,6 +95,13 @@ def test_other_maps_follow_the_layout(generator):
     assert np.abs(new.maps["metallic_roughness"][0].astype(int) - before.images[0])[shown].max() <= 1
     assert np.abs(new.images[0].astype(int) - before.images[0])[shown].mean() > 2
     assert set(next(generate(own, 1, steps=20, texture_size=64)).maps) == {"base_color"}
+
+
+def test_a_run_of_few_vertices_has_layouts_too(generator):
+    few = remesh(generator.asset.mesh.vertices, generator.asset.mesh.faces, 60, 0)
+    small = dataclasses.replace(generator, home=Home(few, mesh_tables(few)))
+    begun = layouts(small, few, small.asset, Controls())
+    assert next(begun.every([[0, 0]])).codes.shape == (60, 8)
 
 
 def test_the_network_alone_needs_no_layout(generator):

@@ -1,0 +1,76 @@
+"""Laws of what `flx evaluate` judges: the samples that it is told to make, and the record says so."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from helpers.files import colored_ball
+
+from flx.assets.asset import own_painting
+from flx.assets.read import read_asset
+from flx.commands.evaluate import Evaluate
+from flx.config import Surface
+from flx.controls import INVENTION
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch) -> list:
+    """What was made and judged; nothing is, but for the record."""
+    asset, calls = read_asset(colored_ball(tmp_path)), []
+    home = SimpleNamespace(triangulation=SimpleNamespace(vertices=[0] * 177))
+    experiment = SimpleNamespace(surface=Surface())
+    run = SimpleNamespace(asset=asset, home=home, experiment=experiment)
+
+    def generate(generator, count, *_, controls, **__):
+        calls.append(("generate", controls.invented))
+        return iter([own_painting(generator.asset)] * count)
+
+    def patchworks(vertices: int, count: int, *_):
+        calls.append(("patchworks", vertices))
+        return iter([own_painting(asset)] * count)
+
+    def judge_samples(_, samples, others, seed):
+        calls.append(("judged", [*samples]))
+        return {}
+
+    monkeypatch.setattr("flx.training.load.load_generator", lambda _: run)
+    monkeypatch.setattr("flx.pipeline.variations.generate", generate)
+    monkeypatch.setattr("flx.pipeline.variations.reconstruct", lambda *_: own_painting(asset))
+    monkeypatch.setattr("flx.pipeline.instant.patch_generator", lambda _, patches: patches.vertices)
+    monkeypatch.setattr("flx.pipeline.instant.patchworks", patchworks)
+    monkeypatch.setattr("flx.assets.vase.vase_asset", lambda: asset)
+    monkeypatch.setattr("flx.evaluation.controls.controls", lambda *_: {})
+    monkeypatch.setattr("flx.evaluation.samples.judge_samples", judge_samples)
+    monkeypatch.setattr("flx.evaluation.report.page", lambda *_: "")
+    (tmp_path / "run").mkdir()
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("options", "call", "said"),
+    [
+        ({"source": "run"}, ("generate", INVENTION), (False, INVENTION)),
+        ({"source": "run", "invention": 1.0}, ("generate", 1.0), (False, 1.0)),
+        ({"source": "run", "instant": True}, ("patchworks", 177), (True, None)),
+        ({"source": "ball.glb", "instant": True}, ("patchworks", 5000), (True, None)),
+        ({"instant": True}, ("patchworks", 5000), (True, None)),
+    ],
+)
+def test_samples_are_made_as_they_are_asked_for(tmp_path, monkeypatch, made, options, call, said):
+    monkeypatch.chdir(tmp_path)
+    file = colored_ball(tmp_path)
+    if "source" in options:
+        options = options | {"source": Path("run") if options["source"] == "run" else file}
+    Evaluate(**options, count=2, out=tmp_path / "out")()
+    assert made == [call, ("judged", ["sample 0", "sample 1"])]
+    record = json.loads((tmp_path / "out" / "evaluation.json").read_bytes())
+    assert (record["instant"], record["invention"]) == said
+
+
+def test_samples_without_a_network_have_no_other_source(tmp_path):
+    for more in ({"samples": (tmp_path / "a.glb",)}, {"invention": 0.5}):
+        with pytest.raises(ValueError) as refusal:
+            Evaluate(source=tmp_path, instant=True, **more)()
+        remedy = "leave out --samples and --invention"
+        assert str(refusal.value) == f"--instant makes its samples without a network; {remedy}"
