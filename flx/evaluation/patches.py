@@ -90,6 +90,17 @@ def sliced_wasserstein(
     """The mean distance of two distributions along random lines, in standard deviations of `b`."""
     lines = rng.normal(size=(a.shape[1], slices)).astype(np.float32)
     lines /= np.linalg.norm(lines, axis=0)
-    at = (np.arange(512) + 0.5) / 512
-    first, second = (np.quantile(x @ lines, at, axis=0) for x in (a, b))
+    first, second = (quantiles(x @ lines, 512) for x in (a, b))
     return float(np.abs(first - second).mean() / max(second.std(axis=0).mean(), 1e-6))
+
+
+def quantiles(values: Float[Any, "N S"], count: int) -> Float[Any, "Q S"]:
+    """As many evenly spaced quantiles of each column, linearly interpolated.
+
+    Those of `np.quantile`, which takes several times as long for so many.
+    """
+    ordered = np.sort(values, axis=0)
+    places = (np.arange(count) + 0.5) / count * (len(values) - 1)
+    below = places.astype(int)
+    above, share = np.minimum(below + 1, len(values) - 1), (places - below)[:, None].astype(values.dtype)
+    return ordered[below] + share * (ordered[above] - ordered[below])

@@ -60,3 +60,10 @@ def test_sliced_wasserstein_is_zero_for_the_same_and_grows_with_a_shift():
     assert patches.sliced_wasserstein(a, a, rng) == 0
     assert patches.sliced_wasserstein(a, b, rng) < 0.04
     assert patches.sliced_wasserstein(b + 0.5, b, rng) == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 1000])
+def test_quantiles_are_those_of_numpy(count):
+    values = np.random.default_rng(count).normal(size=(count, 3))
+    wanted = np.quantile(values, (np.arange(16) + 0.5) / 16, axis=0)
+    np.testing.assert_allclose(patches.quantiles(values, 16), wanted, rtol=1e-12, atol=1e-12)
