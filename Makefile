@@ -40,10 +40,11 @@ $(VENV)/.docs: $(VENV)/.installed
 bench: setup  # timings of this machine, as JSON
 	$(VENV)/bin/flx bench
 
-vendor:  # three.js and three-mesh-bvh for the pages, bundled again from the npm registry; needs Node. docs/credits.md has the hashes
+vendor:  # three.js, three-mesh-bvh and uPlot for the pages, bundled again from the npm registry; needs Node. docs/credits.md has the hashes
 	cd vendor && npm ci --silent && npm run --silent build
-	for name in three three-mesh-bvh; do \
+	for name in three three-mesh-bvh uplot; do \
 	  { echo "/*! $$name $$(node -p "require('./vendor/node_modules/$$name/package.json').version")"; \
 	    cat vendor/node_modules/$$name/LICENSE; echo '*/'; cat vendor/$$name.min.js; } \
 	    > flx/viewer/$$name.min.js; done
-	sha256sum flx/viewer/*.min.js
+	cp vendor/node_modules/uplot/dist/uPlot.min.css flx/viewer/uplot.min.css
+	sha256sum flx/viewer/*.min.*

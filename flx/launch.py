@@ -2,6 +2,7 @@
 
   flx doctor MESH          what is in a mesh file, and what would be repaired
   flx train MESH|CONFIG.py prepare (cached) and train; the same command resumes
+  flx watch RUN            its curves and previews in a browser, while it trains
   flx sample RUN           new textures from a run
   flx labels MESH          a proposal for labels, which say what goes where
   flx paint MESH           labels, masks and directions, painted in a browser
@@ -28,7 +29,7 @@ from pathlib import Path
 from flx import __version__
 from flx.stopping import ended_by_signals
 
-COMMANDS = ("doctor", "sample", "labels", "paint", "reconstruct", "evaluate", "bench")  # and train
+COMMANDS = ("doctor", "watch", "sample", "labels", "paint", "reconstruct", "evaluate", "bench")  # and train
 ALLOCATOR = {"hugetlb": 1, "mmap_threshold": 2**33, "trim_threshold": 2**34}  # thresholds in bytes
 PROGRAM_BYTES = 2**29  # kept of compiled programs; the least recently used go first
 
@@ -51,10 +52,11 @@ def parse(words: Sequence[str]) -> Callable[[], None]:
     from flx.commands.paint import Paint
     from flx.commands.reconstruct import Reconstruct
     from flx.commands.sample import Sample
+    from flx.commands.watch import Watch
 
     app = SubcommandApp()
     app.command(name="train")(train.command(words[1:] if words[0] == "train" else ()))
-    commands = (Doctor, Sample, ProposeLabels, Paint, Reconstruct, Evaluate, Bench)
+    commands = (Doctor, Watch, Sample, ProposeLabels, Paint, Reconstruct, Evaluate, Bench)
     for name, command in zip(COMMANDS, commands, strict=True):
         app.command(name=name)(command)
     return app.cli(prog="flx", args=words)

@@ -58,6 +58,7 @@ class Run:
         self.generator = self.folder / "generator.safetensors"  # the trained model, at the newest checkpoint
         self.metrics = self.folder / "metrics.csv"
         self.events = self.folder / "events"  # a folder, for TensorBoard
+        self.previews = self.folder / "previews"  # a folder, of `flx watch`
 
 
 def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
