@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,10 @@ from PIL import Image
 from flx.assets.asset import own_painting
 from flx.assets.vase import vase_asset
 from flx.assets.write import write
+from flx.config import quick
 from flx.launch import keep_compiled_programs, main, use_large_pages
 from flx.machine import Memory
+from flx.training.run import Run
 
 ROOT = Path(__file__).parent.parent
 SMOKE = str(ROOT / "experiments" / "smoke.py")
@@ -298,15 +301,21 @@ def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampl
     assert json.loads((run / "config.json").read_bytes())["config"]["model"]["invariants"] == 3
 
 
-@pytest.mark.slow
-def test_a_mesh_needs_no_config(trained):
+def test_a_mesh_needs_no_config(vase, monkeypatch, capsys):
     """The demo's settings, the run named after the file; every field is an option all the same."""
-    few = ["--train.steps", "2", "--surface.vertices", "300", "--surface.copies", "1", "--workers", "2"]
-    arguments = ["train", "vase.glb", *few, "--model.channels", "4"]
-    assert flx(*arguments, cwd=trained).stdout.strip() == "runs/vase"
-    config = json.loads((trained / "runs" / "vase" / "config.json").read_bytes())["config"]
-    assert config["surface"]["path"] == "vase.glb" and config["train"]["optimizer"] == "muon"
-    assert (trained / "runs" / "vase" / "generator.safetensors").exists()
+    learnt = []
+
+    def learn(experiment, root=Path("runs"), workers=None):
+        learnt.append((experiment, workers))
+        return Run(root / experiment.name)
+
+    monkeypatch.chdir(vase)
+    monkeypatch.setattr("flx.commands.train.learn", learn)
+    assert main(["train", "vase.glb", "--surface.vertices", "300", "--workers", "2"]) == 0
+    wanted = quick("vase.glb", "vase")
+    assert learnt == [(replace(wanted, surface=replace(wanted.surface, vertices=300)), 2)]
+    said = capsys.readouterr()
+    assert said.out == "runs/vase\n" and "flx sample runs/vase" in said.err
 
 
 @pytest.mark.parametrize("place", ["", "a file", "a file/below"])
@@ -321,6 +330,7 @@ def test_a_run_goes_on_where_compiled_programs_cannot_be_kept(place, monkeypatch
 def test_compiled_programs_are_kept_and_a_damaged_one_is_compiled_again_in_silence(tmp_path):
     script = """
 from pathlib import Path
+from flx.config import quick
 from flx.launch import keep_compiled_programs
 keep_compiled_programs()
 import jax

@@ -1,12 +1,15 @@
 """Small FL-VAEs of each kind, a little trained, and random one-rings."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.compiling import compiled
 
 from flx.config import FLVAE
 from flx.models.codec import frame
@@ -45,8 +48,14 @@ def trained_a_little(config: FLVAE) -> tuple[FieldLatentVAE, dict]:
     return FieldLatentVAE(config), params
 
 
+@cache
+def program(model: FieldLatentVAE, method: str) -> Callable[..., Any]:
+    """A method of the model as a function of its parameters and arguments."""
+    return compiled(partial(model.apply, method=method))
+
+
 def encode(model: FieldLatentVAE, params: dict, r: RingSamples) -> Posterior:
-    return model.apply(params, r, method=FieldLatentVAE.encode)  # type: ignore[return-value]
+    return program(model, "encode")(params, r)
 
 
 def alone(logs: jax.Array) -> Queries:
@@ -59,9 +68,8 @@ def alone(logs: jax.Array) -> Queries:
 
 def decode(model: FieldLatentVAE, params: dict, logs: jax.Array, z: jax.Array) -> jax.Array:
     """The colours [V, P] that each vertex's code shows at its own points."""
-    expanded = model.apply(params, z, method=FieldLatentVAE.expand)
-    colors = model.apply(params, expanded, alone(logs), method=FieldLatentVAE.blend)
-    return colors.reshape(*logs.shape, 3)  # type: ignore[union-attr]
+    expanded = program(model, "expand")(params, z)
+    return program(model, "blend")(params, expanded, alone(logs)).reshape(*logs.shape, 3)
 
 
 def weights_of(logs: jax.Array) -> np.ndarray:
