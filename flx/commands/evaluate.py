@@ -85,7 +85,8 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         asset = read_asset(source) if source else vase_asset()
     if options.instant:
         count = len(generator.home.triangulation.vertices) if generator else Patches().vertices
-        patches = patch_generator(asset, Patches(vertices=max(count, LEAST)))
+        intact = generator.intact if generator else None
+        patches = patch_generator(asset, Patches(vertices=max(count, LEAST)), intact=intact)
         made = patchworks(patches, options.count, options.seed, size, None)
     elif generator and not samples:
         rules = (options.count, options.seed, options.steps, options.sampler, size)

@@ -64,7 +64,7 @@ class Plan(NamedTuple):
     asset: Asset  # what is painted
     file: Asset  # the same as it was read, before it got an atlas of its own
     up: Literal["y", "z"]
-    kept: Any  # `flx.pipeline.inpainting.Kept` or None
+    kept: Any  # `flx.pipeline.masks.Kept` or None
     usual: Path  # the folder, if no other options are given
     also: str  # what tells it from another call's
     made_by: dict[str, Any]  # what the files depend on, beside the options
@@ -178,7 +178,8 @@ def learnt_plan(options: Sample) -> Plan:
     from flx.assets.unwrap import prepared_for
     from flx.fields.samplers import sampler_named
     from flx.pipeline.codec import digest_of
-    from flx.pipeline.inpainting import REPEATS, kept_texels
+    from flx.pipeline.inpainting import REPEATS
+    from flx.pipeline.masks import kept_texels
     from flx.pipeline.transfer import vertex_count
     from flx.pipeline.variations import check_direction, check_labels, generate
     from flx.training.load import load_generator
@@ -243,9 +244,9 @@ def instant_plan(options: Sample) -> Plan:
     from flx.assets.shape import read_shape
     from flx.assets.unwrap import prepared_for
     from flx.assets.vase import vase_asset
-    from flx.pipeline.inpainting import kept_texels
     from flx.pipeline.instant import check_instant, open_canvases, painted, patch_generator
     from flx.pipeline.layout import run_guides
+    from flx.pipeline.masks import kept_texels
     from flx.pipeline.transfer import scaled_count
     from flx.training.load import load_generator
 
@@ -275,7 +276,8 @@ def instant_plan(options: Sample) -> Plan:
     def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
         stages = Stages(2)
         stages("looking at the texture, coarse and fine")
-        patches = patch_generator(own, options.patches, 0, options.controls, asset, guides)
+        intact = generator.intact if generator else None
+        patches = patch_generator(own, options.patches, 0, options.controls, asset, guides, intact)
         stages("finding texels on the surface")
         canvases = open_canvases(patches, options.texture_size)
         every = patches.every([[options.seed, n] for n in range(options.count)], None)

@@ -26,7 +26,6 @@ from flx.pipeline.canvas import Canvas
 from flx.pipeline.codec import Codec
 from flx.pipeline.direction import read_direction
 from flx.pipeline.generator import Generator
-from flx.pipeline.inpainting import kept_texels
 from flx.pipeline.instant import (
     PatchGenerator,
     color_shifts,
@@ -36,6 +35,7 @@ from flx.pipeline.instant import (
     patches_on,
 )
 from flx.pipeline.labels import read_labels
+from flx.pipeline.masks import kept_texels
 from flx.types import SLOTS, Queries, RingSamples, Slot, Triangulation
 
 ALIKE = 0.15  # difference of colours by which the network's result is another one than the layout's
@@ -97,7 +97,8 @@ def layouts(generator: Generator, triangulation: Triangulation, asset: Asset, co
     vertices = len(generator.home.triangulation.vertices)
     guides, kept = learnt_guides(generator, asset, controls), kept_texels(generator.asset, controls)
     source = asset if asset.digest == generator.asset.digest else generator.asset  # it may have more maps
-    own = patches_on(triangulation, vertices, source, asset, Patches(), controls, guides, kept)
+    rules = Patches(), controls, guides, kept, generator.intact
+    own = patches_on(triangulation, vertices, source, asset, *rules)
     points, logs = points_in_rings(triangulation, generator.codec.config.samples, np.random.default_rng(0))
     return Layouts(
         generator.codec, own, logs, queries_at(points, triangulation, tangent_frames(triangulation))

@@ -24,9 +24,10 @@ from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, check_size, open_canvas
 from flx.pipeline.direction import read_direction
 from flx.pipeline.generator import Generator, Home
-from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, kept_texels, restored
+from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, restored
 from flx.pipeline.labels import read_labels
 from flx.pipeline.layout import Layouts, layouts
+from flx.pipeline.masks import kept_texels, without_damage
 from flx.pipeline.transfer import home_on
 from flx.types import Triangulation
 
@@ -212,5 +213,6 @@ def own_codes(
     generator: Generator, triangulation: Triangulation, seed: int = 0
 ) -> Complex64[np.ndarray, "V D"]:
     """The codes of the texture that the generator learnt from, at the vertices of a triangulation of it."""
-    mesh, codec = with_filled_gutters(generator.asset.mesh), generator.codec
+    asset, codec = without_damage(generator.asset, generator.intact), generator.codec
+    mesh = with_filled_gutters(asset.mesh)
     return codec.encode(sample_rings(mesh, triangulation, codec.config.samples, seed))

@@ -37,7 +37,7 @@ def made(tmp_path, monkeypatch) -> list:
     monkeypatch.setattr("flx.training.load.load_generator", lambda _: run)
     monkeypatch.setattr("flx.pipeline.variations.generate", generate)
     monkeypatch.setattr("flx.pipeline.variations.reconstruct", lambda *_: own_painting(asset))
-    monkeypatch.setattr("flx.pipeline.instant.patch_generator", lambda _, patches: patches.vertices)
+    monkeypatch.setattr("flx.pipeline.instant.patch_generator", lambda _, patches, **more: patches.vertices)
     monkeypatch.setattr("flx.pipeline.instant.patchworks", patchworks)
     monkeypatch.setattr("flx.assets.vase.vase_asset", lambda: asset)
     monkeypatch.setattr("flx.evaluation.controls.controls", lambda *_: {})

@@ -20,13 +20,12 @@ from flx.pipeline.generator import Generator
 from flx.pipeline.inpainting import (
     HELD,
     Inpainting,
-    Kept,
     held,
     inpainting,
     kept_shares,
-    kept_texels,
     restored,
 )
+from flx.pipeline.masks import Kept, kept_texels
 from flx.pipeline.variations import generate
 
 BALL = icosphere(2)
