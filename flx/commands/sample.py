@@ -181,7 +181,7 @@ def learnt_plan(options: Sample) -> Plan:
     from flx.pipeline.inpainting import REPEATS
     from flx.pipeline.masks import kept_texels
     from flx.pipeline.transfer import vertex_count
-    from flx.pipeline.variations import check_direction, check_labels, generate
+    from flx.pipeline.variations import check_controls, generate
     from flx.training.load import load_generator
 
     if options.patches != Patches():
@@ -208,8 +208,7 @@ def learnt_plan(options: Sample) -> Plan:
     follow = options.controls.invented < 1 and not options.variants and options.format == "glb"
     own = generator.asset_with_maps if follow else generator.asset
     asset = prepared_for(other or own, options.format)
-    check_labels(generator, options.controls, asset)
-    check_direction(generator, options.controls, asset)
+    check_controls(generator, options.controls, asset)
 
     def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
         if options.controls.invented < 1:
