@@ -9,6 +9,7 @@ codec blurs them.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from flx.assets.asset import Asset, Images
 from flx.controls import Controls, Patches
 from flx.geometry.copies import points_in_rings, queries_at
 from flx.geometry.direction import carried, field_on
-from flx.geometry.labels import labels_on
+from flx.geometry.labels import LabelMap, labels_on
 from flx.geometry.patchwork.anchors import Anchors
 from flx.geometry.patchwork.guides import Guides
 from flx.geometry.tangent import tangent_frames
@@ -103,6 +104,20 @@ def layouts(generator: Generator, triangulation: Triangulation, asset: Asset, co
     return Layouts(
         generator.codec, own, logs, queries_at(points, triangulation, tangent_frames(triangulation))
     )
+
+
+def asked_labels(
+    learnt: LabelMap | None, asset: Asset, patches: Patches, drawn: Path | None
+) -> tuple[LabelMap, LabelMap] | None:
+    """The labels of an asset, and those that are asked for, in one palette; None where there are none.
+
+    Those that were learnt, unless `patches` say what the input is like.
+    """
+    file = patches.input_labels or (drawn if learnt is None else None)
+    before = read_labels(file, asset) if file else learnt
+    if before is None:
+        return None
+    return before, read_labels(drawn, asset, before.palette) if drawn else before
 
 
 def run_guides(

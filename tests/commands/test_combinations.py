@@ -173,7 +173,7 @@ def test_many_at_once_make_textures(run, names, more):
     record = json.loads((made / "samples.json").read_text())
     name = "variants.glb" if options.variants else "variation_00.glb"
     assert record["files"] == [name]
-    assert options.instant or record["vertices"] == pytest.approx(162 / 0.8**2, abs=2)
+    assert options.instant or record["vertices"] == pytest.approx(162 / 0.8**2, abs=3)
     before = controls.mesh or Path("ball.glb")
     new, old = (read_asset(path).mesh.textures[0].astype(int) for path in (made / name, before))
     assert new.shape == old.shape and np.abs(new - old).mean() > 5
