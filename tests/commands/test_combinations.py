@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import sys
 from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
@@ -144,6 +145,83 @@ def test_options_without_training_go_together_or_one_line_says_why_not(run, monk
         assert refusal_of(by_command, (*pair, "instant"), "ball.glb") == expected, pair
         assert refusal_of(in_python, pair, "ball.glb") == expected, pair
     assert sorted(Path().iterdir()) == before
+
+
+def image(name: str, *shape: int, color: tuple[int, int, int] = (0, 0, 0)) -> Path:
+    Image.fromarray(np.broadcast_to(np.array(color, np.uint8), (*shape, 3))).save(name)
+    return Path(name)
+
+
+def text(name: str, content: str) -> Path:
+    Path(name).write_text(content)
+    return Path(name)
+
+
+def strokes(points: str) -> str:
+    return str(text("strokes.json", f'{{"strokes": [{{"points": {points}}}]}}'))
+
+
+def green_corner() -> Path:
+    pixels = np.zeros((64, 96, 3), np.uint8)
+    pixels[:, 48:] = 0, 200, 0
+    Image.fromarray(pixels).save("green.png")
+    return Path("green.png")
+
+
+TETRAHEDRON = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+BAD = {
+    "a mask of another size": (
+        lambda: {"keep": image("m.png", 7, 9)},
+        "mask m.png has 9 × 7 pixels but the texture 96 × 64; make them equal",
+    ),
+    "a mask that is none": (
+        lambda: {"fill": text("m.png", "black")},
+        "image 'm.png' is of no known kind; save it as PNG or JPEG",
+    ),
+    "a label that was never learnt": (
+        lambda: {"labels": green_corner()},
+        "labels green.png: colour #00c800 was never learnt; the nearest labels that were are",
+    ),
+    "a mesh without UVs and without the extra": (
+        lambda: {
+            "mesh": text(
+                "bare.obj", "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+            )
+        },
+        "bare.obj has no texture coordinates; pip install '.[uv]' in the clone makes them",
+    ),
+    "an empty file": (lambda: {"mesh": text("none.obj", "")}, "none.obj is empty; export it again"),
+    "a mesh without faces": (lambda: {"mesh": text("dots.obj", "v 0 0 0\nv 1 0 0\n")}, "dots.obj"),
+    "strokes that are no numbers": (
+        lambda: {"direction": strokes("[[1, 0, 0], [NaN, 0, 1]]")},
+        "direction strokes.json: strokes[0].points[1] is [NaN, 0, 1]; give three finite numbers",
+    ),
+    "strokes elsewhere": (
+        lambda: {"direction": strokes("[[9, 0, 0], [9, 0, 1]]")},
+        "direction strokes.json: ",
+    ),
+    "a scale that leaves nothing": (lambda: {"scale": 9.0}, "ball.glb needs 2 vertices at scale 9"),
+}
+
+
+@pytest.mark.parametrize("instant", [False, True])
+@pytest.mark.parametrize("what", BAD)
+def test_bad_input_is_one_line_and_nothing_is_written(run, monkeypatch, what, instant):
+    monkeypatch.setitem(sys.modules, "xatlas", None)
+    made, line = BAD[what]
+    controls = Controls(**made())
+    before = sorted(Path().rglob("*"))
+    with pytest.raises(ValueError) as refusal:
+        sample(
+            Sample(
+                run=Path("run"),
+                instant=instant,
+                controls=controls,
+                patches=Patches(vertices=162 if instant else 5000),
+            )
+        )
+    assert str(refusal.value).replace(str(run.asset.path), "ball.glb").startswith(line)
+    assert "\n" not in str(refusal.value) and sorted(Path().rglob("*")) == before
 
 
 def test_what_is_refused_late_leaves_nothing_behind(run, monkeypatch):
