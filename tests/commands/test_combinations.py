@@ -232,6 +232,37 @@ def test_what_is_refused_late_leaves_nothing_behind(run, monkeypatch):
     assert not Path("samples").exists()
 
 
+@pytest.mark.parametrize(
+    ("names", "more", "why"),
+    [
+        ((), {}, None),
+        (
+            (),
+            {"invention": 1.0},
+            "they follow pieces, which --strength and --invention 1 do without",
+        ),
+        (("strength",), {}, "they follow pieces, which --strength and --invention 1 do without"),
+        (("variants",), {}, "variants share them"),
+        (("mesh",), {}, None),  # whose material has none
+        (("variants", "instant"), {}, "variants share them"),
+        (("instant",), {}, None),
+    ],
+)
+def test_one_line_says_where_other_maps_stay_as_they_are(run, monkeypatch, capsys, names, more, why):
+    asset = run.asset._replace(map_names={"normal": ("n.png",), "metallic_roughness": ("r.png",)})
+    run.__dict__["asset"] = run.__dict__["asset_with_maps"] = asset
+    for work in ("flx.pipeline.variations.home_on", "flx.pipeline.instant.remesh"):
+        monkeypatch.setattr(work, begin)
+    options = given(names, "run")
+    controls = dataclasses.replace(options.controls, **more)
+    with pytest.raises(Begun):
+        sample(dataclasses.replace(options, controls=controls))
+    lines = [line for line in capsys.readouterr().err.splitlines() if "stay as they are" in line]
+    assert len(lines) == (why is not None)
+    if why:
+        assert lines[0].startswith(f"ball.glb: normal, metallic roughness maps stay as they are: {why}")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "more"),
