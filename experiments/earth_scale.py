@@ -3,8 +3,10 @@
 flx train experiments/earth_scale.py --surface.path PATH/mesh.obj --surface.texture PATH/earth-blue-marble.jpg
 flx sample runs/earth_scale --scale 2 --out runs/earth_scale/double
 
-Scale itself is `flx sample --scale` on any run, this one or another. The settings are the demo's with fewer
-vertices and steps; cost and result have not been measured.
+Scale itself is `flx sample --scale` on any run, this one or another: 2 makes details twice as large, on a
+quarter of the vertices, and 0.5 half as large, on four times as many. Without training it is
+flx sample PATH/mesh.obj --texture PATH/earth-blue-marble.jpg --instant --scale 2. The settings are the demo's
+with fewer vertices and steps; cost and result have not been measured.
 """
 
 from dataclasses import replace

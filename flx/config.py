@@ -32,6 +32,7 @@ ADDED = {
     "directions": 0,
     "direction_dropout": 0.1,
     "direction": "",
+    "fill": None,
 }
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
@@ -158,6 +159,7 @@ class Surface:
     texture: str | None = None  # an image to use instead of the file's own
     labels: str | None = None  # An image of flat colours on the same UVs, or a PLY, that says what is where.
     direction: str = ""  # Which way the texture runs: x, y, z, curvature, or a JSON file of strokes.
+    fill: str | None = None  # A mask as large as the texture: what is white is damaged, and not learnt.
     vertices: int = 30_000  # Vertices of each copy: more for finer detail, and more time.
     copies: int = 500  # Independent triangulations of the mesh.
     slots: int = 16  # most neighbours of a vertex, itself included

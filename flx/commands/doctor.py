@@ -24,6 +24,7 @@ from flx.machine import memory, room
 from flx.models.denoiser.depth import complete
 from flx.pipeline.direction import read_direction
 from flx.pipeline.labels import read_labels
+from flx.pipeline.masks import read_damage
 from flx.pipeline.weights import RELEASED, read_weights
 from flx.training.costs import Costs, costs_of
 from flx.types import SLOTS
@@ -57,6 +58,8 @@ class Doctor:
             asset = read_asset(self.mesh, self.texture)
             labels = plan.surface.labels and read_labels(Path(plan.surface.labels), asset)
             directed = plan.surface.direction and read_direction(plan.surface.direction, asset)
+            if plan.surface.fill:
+                read_damage(Path(plan.surface.fill), asset)
             count = len(labels.palette) if labels else 0
             complete(plan.model, codec, plan.surface.vertices, count, int(bool(directed)))
             with faults_of(asset.path):

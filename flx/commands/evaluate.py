@@ -4,12 +4,14 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 from tyro.conf import Positional
 
 from flx.commands.stages import Stages
 from flx.config import STEPS, Comparison, Sampler
 from flx.controls import Controls, Patches
+from flx.types import TexturedMesh
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class Evaluate(Comparison):
     invention: float | None = None  # as of `flx sample`: 1 is the network alone
     # variations without training, of a mesh file, of a run, or of the vase that flx makes itself
     instant: bool = False
+    labels: Path | None = None  # as of `flx sample`: what goes where; also, how well that is followed
+    input_labels: Path | None = None  # with --instant, as of `flx sample`
 
     def __call__(self) -> None:
         if self.source is None and not self.instant:
@@ -48,18 +52,24 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     from flx.assets.read import read_asset
     from flx.assets.vase import vase_asset
     from flx.evaluation.controls import controls
+    from flx.evaluation.labels import labels_followed
     from flx.evaluation.report import page
     from flx.evaluation.samples import judge_samples
     from flx.files import write_atomically
     from flx.geometry.render import contact_sheet, render
     from flx.pipeline.canvas import VIEWS, check_size, shown
     from flx.pipeline.instant import patch_generator, patchworks
+    from flx.pipeline.layout import asked_labels, run_guides
     from flx.pipeline.transfer import LEAST
     from flx.pipeline.variations import generate, reconstruct
     from flx.training.load import load_generator
 
     if options.instant and (options.samples or options.invention is not None):
         raise ValueError("--instant makes its samples without a network; leave out --samples and --invention")
+    if options.input_labels and not options.instant:
+        raise ValueError(f"input labels {options.input_labels} go with --instant; add that, or leave it out")
+    if options.labels and options.samples:
+        raise ValueError(f"labels {options.labels} say how to make samples; leave out --labels or --samples")
     if options.reconstruction:
         raise ValueError(f"give {source} or --reconstruction, not both: they measure different things")
     if options.count < 1 or options.steps < 1:
@@ -70,7 +80,7 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         raise ValueError("two files of --samples have the same name; rename one: rows are named after files")
     stage = Stages(2 if options.samples else 3)
     samples = {path.stem: read_asset(path).mesh for path in options.samples}
-    generator, folder, made = None, Path("evaluation"), None
+    generator, folder = None, Path("evaluation")
     if source and (source.is_dir() or source.suffix == ".safetensors"):
         generator = load_generator(source)
         asset, up = generator.asset, generator.experiment.surface.up
@@ -83,20 +93,37 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         )
     else:
         asset = read_asset(source) if source else vase_asset()
-    if options.instant:
-        count = len(generator.home.triangulation.vertices) if generator else Patches().vertices
-        patches = patch_generator(asset, Patches(vertices=max(count, LEAST)))
-        made = patchworks(patches, options.count, options.seed, size, None)
-    elif generator and not samples:
-        rules = (options.count, options.seed, options.steps, options.sampler, size)
-        made = generate(generator, *rules, controls=Controls(invention=options.invention), workers=None)
-    if made:
-        stage(f"making {options.count} variations")
+    count = max(len(generator.home.triangulation.vertices), LEAST) if generator else Patches().vertices
+    patches = Patches(vertices=count, input_labels=options.input_labels)
+
+    def variations(guidance: float) -> dict[str, TexturedMesh]:
+        how = Controls(invention=options.invention, labels=options.labels, guidance=guidance)
+        if generator and not options.instant:
+            rules = (options.count, options.seed, options.steps, options.sampler, size)
+            made = generate(generator, *rules, controls=how, workers=None)
+        else:
+            guides = run_guides(generator, asset, patches, how) if generator else None
+            intact = generator.intact if generator else None
+            pieces = patch_generator(asset, patches, 0, how, None, guides, intact)
+            made = patchworks(pieces, options.count, options.seed, size, None)
         made = tqdm(made, "variations", options.count, dynamic_ncols=True)
-        samples = {f"sample {n}": shown(asset, painting) for n, painting in enumerate(made)}
+        return {f"sample {n}": shown(asset, painting) for n, painting in enumerate(made)}
+
+    asked, unguided = None, {}
+    if not samples:
+        asked = asked_labels(generator and generator.labelled, asset, patches, options.labels)
+        stage(f"making {options.count} variations" + ", and as many without labels" * (asked is not None))
+        samples, unguided = variations(1.0), variations(0.0) if asked else {}
     others |= controls(asset.mesh, options.seed)
     stage(f"judging {len(samples)} samples and {len(others)} controls")
     rows = judge_samples(asset.mesh, samples, others, options.seed)
+    if asked:
+        free = {f"{name} without labels": mesh for name, mesh in unguided.items()}
+        shares = labels_followed(asset.mesh, *asked, {**samples, **free}, options.seed)
+        shares["samples"] = float(np.mean([shares[name] for name in samples]))
+        rows["without labels"] = {"labels_1": float(np.mean([shares.pop(name) for name in free]))}
+        for name, share in shares.items():
+            rows[name]["labels_1"] = share
     out, meshes = options.out or folder, {"input": asset.mesh, **samples, **others}
     stage(f"picturing them, to {out}")
     views = [
@@ -105,6 +132,7 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     record = {
         "source": str(source or "the vase of flx"),
         "instant": options.instant,
+        "labels": options.labels and str(options.labels),
         "invention": None if options.instant else Controls(invention=options.invention).invented,
         "seed": options.seed,
         "sampler": options.sampler,

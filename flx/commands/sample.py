@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -17,6 +18,7 @@ from flx.commands.stages import Stages
 from flx.config import STEPS, Sampler
 from flx.controls import Controls, Patches
 from flx.files import write_atomically
+from flx.types import SLOTS
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Plan(NamedTuple):
     asset: Asset  # what is painted
     file: Asset  # the same as it was read, before it got an atlas of its own
     up: Literal["y", "z"]
-    kept: Any  # `flx.pipeline.inpainting.Kept` or None
+    kept: Any  # `flx.pipeline.masks.Kept` or None
     usual: Path  # the folder, if no other options are given
     also: str  # what tells it from another call's
     made_by: dict[str, Any]  # what the files depend on, beside the options
@@ -115,6 +117,9 @@ def sample(options: Sample) -> Path:
     out, before = own_folder(options, plan.usual, plan.also, "samples.json", made_by, [*names, *pictures])
     files = [out / name for name in names]
     check_output(plan.file, options.format, files, [out / name for name in pictures])
+    stay = [slot.replace("_", " ") for slot in SLOTS if plan.file.map_names.get(slot)]
+    if options.format == "glb" and stay and (why := why_maps_stay(options)):
+        print(f"{plan.file.path.name}: {', '.join(stay)} maps stay as they are: {why}", file=sys.stderr)
 
     record = {
         "run": str(options.run or "the vase of flx"),
@@ -171,6 +176,17 @@ def sample(options: Sample) -> Path:
     return out
 
 
+def why_maps_stay(options: Sample) -> str:
+    """Why the other maps of a GLB do not follow its new colours; "" where they do."""
+    if options.controls.mesh:
+        return "they are those of that mesh"
+    if options.variants:
+        return "variants share them"
+    if not options.instant and options.controls.invented == 1:
+        return "they follow pieces, which --strength and --invention 1 do without"
+    return ""
+
+
 def learnt_plan(options: Sample) -> Plan:
     """Variations by a trained generator."""
     from flx.assets.formats.readers import READERS
@@ -178,9 +194,10 @@ def learnt_plan(options: Sample) -> Plan:
     from flx.assets.unwrap import prepared_for
     from flx.fields.samplers import sampler_named
     from flx.pipeline.codec import digest_of
-    from flx.pipeline.inpainting import REPEATS, kept_texels
+    from flx.pipeline.inpainting import REPEATS
+    from flx.pipeline.masks import kept_texels
     from flx.pipeline.transfer import vertex_count
-    from flx.pipeline.variations import check_direction, check_labels, generate
+    from flx.pipeline.variations import check_controls, generate
     from flx.training.load import load_generator
 
     if options.patches != Patches():
@@ -203,12 +220,10 @@ def learnt_plan(options: Sample) -> Plan:
     rules = (decided, REPEATS if kept else None)
     chosen = sampler_named(options.sampler, generator.alphas, options.steps, *rules)
     other = options.controls.mesh and read_shape(options.controls.mesh, options.format)
-    # Variants of a file share its other maps, so these stay as they are.
-    follow = options.controls.invented < 1 and not options.variants and options.format == "glb"
+    follow = options.format == "glb" and not why_maps_stay(options)
     own = generator.asset_with_maps if follow else generator.asset
     asset = prepared_for(other or own, options.format)
-    check_labels(generator, options.controls, asset)
-    check_direction(generator, options.controls, asset)
+    check_controls(generator, options.controls, asset)
 
     def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
         if options.controls.invented < 1:
@@ -243,9 +258,9 @@ def instant_plan(options: Sample) -> Plan:
     from flx.assets.shape import read_shape
     from flx.assets.unwrap import prepared_for
     from flx.assets.vase import vase_asset
-    from flx.pipeline.inpainting import kept_texels
     from flx.pipeline.instant import check_instant, open_canvases, painted, patch_generator
     from flx.pipeline.layout import run_guides
+    from flx.pipeline.masks import kept_texels
     from flx.pipeline.transfer import scaled_count
     from flx.training.load import load_generator
 
@@ -258,8 +273,7 @@ def instant_plan(options: Sample) -> Plan:
     if options.run is None:
         own, usual = vase_asset(), Path("runs", "vase-instant")
     elif options.run.suffix.lower() in {*READERS, *OTHERS}:
-        # Variants of a file share its other maps, so these stay as they are.
-        maps = not options.variants and options.format == "glb"
+        maps = options.format == "glb" and not why_maps_stay(options)
         own = (read_with_maps if maps else read_asset)(options.run, options.texture)
         usual = Path("runs", f"{options.run.stem}-instant")
     else:
@@ -275,7 +289,8 @@ def instant_plan(options: Sample) -> Plan:
     def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
         stages = Stages(2)
         stages("looking at the texture, coarse and fine")
-        patches = patch_generator(own, options.patches, 0, options.controls, asset, guides)
+        intact = generator.intact if generator else None
+        patches = patch_generator(own, options.patches, 0, options.controls, asset, guides, intact)
         stages("finding texels on the surface")
         canvases = open_canvases(patches, options.texture_size)
         every = patches.every([[options.seed, n] for n in range(options.count)], None)

@@ -15,6 +15,8 @@ EXPLAINED = {
     "swd": "chart descriptions: sliced Wasserstein distance to the input (lower is better)",
     "nearest": "mean distance of a chart to the nearest one of the input, in 1/255 (lower is better)",
     "coverage": "share of the input's charts that were made (higher is better)",
+    "labels": "share of the surface that is most like a chart of the input with the label that was asked for "
+    "(higher is better; without labels: what is right by chance)",
     "copied": "share of charts copied from the same place of the input (lower is better)",
 }
 BAR, WIDTH = 15, 260  # pixels: height of a bar, length of the longest

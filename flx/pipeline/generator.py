@@ -39,6 +39,7 @@ from flx.models.denoiser.unet import UNet, denoise, schedule
 from flx.models.denoiser.vectors import Denoiser
 from flx.pipeline.codec import Codec, initial_params, odd_parameter
 from flx.pipeline.labels import Labels, one_hot, read_labels
+from flx.pipeline.masks import Kept, read_damage
 from flx.pipeline.tensors import load_tensors, one_line, save_tensors
 from flx.types import MeshTables, Triangulation
 
@@ -58,6 +59,7 @@ class Source(NamedTuple):
     digest: str  # of the asset
     files: dict[str, bytes]  # by their path in the asset's folder
     labels: str | None = None  # the name of the file that labels it
+    fill: str | None = None  # that of the mask of its damage
 
 
 @dataclass(frozen=True)
@@ -179,6 +181,12 @@ class Generator:
         return read_labels(path, self.asset, self.labels.palette)
 
     @cached_property
+    def intact(self) -> Kept | None:
+        """What is intact of the asset's texture, None where no damage was marked."""
+        name = self.source.fill
+        return read_damage(Path(self._folder.name, name), self.asset) if name else None
+
+    @cached_property
     def asset(self) -> Asset:
         """The asset that it learnt from, read from its own files."""
         return read_asset(*self._files())
@@ -286,12 +294,9 @@ def save_generator(path: Path, generator: Generator) -> None:
     """Write a learnt generator as one file, whole or not at all."""
     surface, source = generator.experiment.surface, generator.source
     # Names without folders: the file may be passed on.
-    texture = source.texture and Path(source.texture).name
-    labels = surface.labels and Path(surface.labels).name
-    direction = Path(surface.direction).name
-    named = replace(
-        surface, path=Path(surface.path).name, texture=texture, labels=labels, direction=direction
-    )
+    places = {"path": surface.path, "direction": surface.direction, "texture": source.texture}
+    places |= {"labels": surface.labels, "fill": surface.fill}
+    named = replace(surface, **{name: place and Path(place).name for name, place in places.items()})
     record = {
         "flx": __version__,
         "step": generator.step,

@@ -6,7 +6,6 @@ the others are. In the new texture, kept texels are the input's own; up to one r
 take over what the codec missed of the kept ones.
 """
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -14,72 +13,22 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.tree_util import Partial
-from jaxtyping import Bool, Float32, Float64, Int, UInt8
+from jaxtyping import Bool, Float32, Float64, Int
 from scipy.spatial import KDTree
 
-from flx.assets.asset import Asset, Painting
-from flx.assets.formats.files import read_file
-from flx.assets.formats.images import decode_image
-from flx.controls import Controls
+from flx.assets.asset import Painting
 from flx.fields.algebra import tangent_noise
 from flx.fields.diffusion import diffuse
-from flx.geometry.atlas import atlas_texels, fill_gutter
-from flx.geometry.color import resized
 from flx.geometry.copies import sample_rings
 from flx.geometry.sampling import face_normals, positions
 from flx.pipeline.canvas import Canvas
 from flx.pipeline.generator import Generator
+from flx.pipeline.masks import Kept, continued
 from flx.types import SurfacePoints, TexturedMesh, Triangulation
 
 HELD = 0.5  # share of its one-ring that is kept, from which a vertex is held
 REPEATS = (5, 1)  # each five steps twice, for old and new to fit; three or five times are no better
 NEAREST = 8  # kept texels from which a new one takes over what the codec missed; 32 would smooth too much
-
-
-class Kept(NamedTuple):
-    """What is kept of the one texture that an asset has."""
-
-    image: UInt8[np.ndarray, "H W 3"]
-    index: int  # of the image among the mesh's
-    texels: Bool[np.ndarray, "H W"]
-
-    def at_size(self, height: int, width: int) -> "Kept":
-        """At another size: the mean of what a texel covers, which is kept where all of it is."""
-        shares = resized(np.uint8(255) * np.repeat(self.texels[..., None], 3, 2), height, width)
-        return Kept(resized(self.image, height, width), self.index, shares[..., 0] == 255)
-
-
-def kept_texels(asset: Asset, controls: Controls) -> Kept | None:
-    """What controls keep of an asset; None where they keep nothing.
-
-    Of a mask, what is at least half white and half opaque counts as white. Raises ValueError for an asset
-    without exactly one texture, and for a mask that is not an image of its size.
-    """
-    path = controls.keep or controls.fill
-    if path is None:
-        return None
-    painted = [index for index, texture in enumerate(asset.textures) if not texture.flat]
-    if len(painted) != 1:
-        raise ValueError(f"{asset.path} has {len(painted)} textures; --keep and --fill need exactly one")
-    image = asset.mesh.textures[painted[0]]
-    white = read_mask(path, image.shape[:2])
-    texels = white if controls.keep else ~white
-    return Kept(image, painted[0], texels) if texels.any() else None
-
-
-def read_mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "H W"]:
-    """Where an image is white. Raises ValueError for a file that is not an image of this height and width."""
-    try:
-        pixels, alpha = decode_image(read_file(path), path.name)
-    except FileNotFoundError:
-        raise ValueError(f"mask {path} does not exist; paint one on a copy of the texture") from None
-    if pixels.shape[:2] != size:
-        (height, width), (tall, wide) = pixels.shape[:2], size
-        raise ValueError(
-            f"mask {path} has {width} × {height} pixels but the texture {wide} × {tall}; make them equal"
-        )
-    white = pixels.mean(2) >= 128
-    return white if alpha is None else white & (alpha >= 128)
 
 
 # --- at the vertices
@@ -97,7 +46,7 @@ def inpainting(generator: Generator, kept: Kept, triangulation: Triangulation) -
     """The vertices of a triangulation that are held, and their codes."""
     samples = generator.codec.config.samples
     shares = kept_shares(generator.asset.mesh, kept, triangulation, samples)
-    rings = sample_rings(_continued(generator.asset.mesh, kept), triangulation, samples, 0)
+    rings = sample_rings(continued(generator.asset.mesh, kept), triangulation, samples, 0)
     codes = generator.scaling.to_diffusion(generator.codec.encode(rings))
     noise = tangent_noise(jax.random.key(0), codes.shape)
     alphas = jnp.asarray(generator.alphas, jnp.float32)
@@ -123,13 +72,6 @@ def kept_shares(
     masks[kept.index] = np.uint8(255) * np.repeat(kept.texels[..., None], 3, 2)
     rings = sample_rings(mesh.with_layer(images=tuple(masks)), triangulation, samples, 0)
     return (rings.colors[..., 0] >= 0.5).mean(1, dtype=np.float32)
-
-
-def _continued(mesh: TexturedMesh, kept: Kept) -> TexturedMesh:
-    """The surface with the nearest kept colours where nothing is kept: no code tells what was there."""
-    images, shown = list(mesh.textures), atlas_texels(mesh, kept.index, *kept.texels.shape).covered
-    images[kept.index] = fill_gutter(kept.image, shown & kept.texels)
-    return mesh.with_layer(images=tuple(images))
 
 
 # --- in the texture

@@ -33,8 +33,9 @@ from flx.geometry.remesh.remesh import remesh
 from flx.geometry.sampling import face_normals, surface_colors, transfer
 from flx.pipeline.canvas import Canvas, bake, check_size, open_canvas
 from flx.pipeline.direction import file_of, read_direction
-from flx.pipeline.inpainting import HELD, Inpainting, Kept, kept_shares, kept_texels, restored
+from flx.pipeline.inpainting import HELD, Inpainting, kept_shares, restored
 from flx.pipeline.labels import read_labels
+from flx.pipeline.masks import Kept, kept_texels, marked
 from flx.pipeline.transfer import scaled_count
 from flx.pipeline.workers import in_order, in_processes, workers_for
 from flx.types import SLOTS, Queries, Slot, SurfacePoints, TexturedMesh, Triangulation
@@ -92,6 +93,7 @@ def patch_generator(
     controls: Controls | None = None,
     target: Asset | None = None,
     guides: tuple[Guides, Guides] | None = None,
+    intact: Kept | None = None,
 ) -> PatchGenerator:
     """Prepare new textures from pieces of an asset's own; no training.
 
@@ -103,6 +105,7 @@ def patch_generator(
         target: The mesh to paint, from `flx.load_shape`; that of the controls, or the asset, unless given.
         guides: How to find labels and directions of the asset and of the target; in the files that the
             controls and `patches` name, unless given.
+        intact: What pieces may come from; all but what the controls fill, unless given.
 
     Raises ValueError for controls that cannot be followed, and for a mesh that cannot be triangulated.
 
@@ -131,7 +134,8 @@ def patch_generator(
         triangulation = remesh(target.mesh.vertices, target.mesh.faces, count, seed)
     except ValueError as fault:
         raise ValueError(f"{target.path}: {fault} (--vertices)") from None
-    return patches_on(triangulation, patches.vertices, asset, target, patches, controls, guides, kept, seed)
+    rules = patches, controls, guides, kept, intact, seed
+    return patches_on(triangulation, patches.vertices, asset, target, *rules)
 
 
 def patches_on(
@@ -143,21 +147,21 @@ def patches_on(
     controls: Controls,
     guides: tuple[Guides, Guides],
     kept: Kept | None,
+    intact: Kept | None = None,
     seed: int = 0,
 ) -> PatchGenerator:
     """A `patch_generator` on a triangulation of the target; one of the asset would have so many vertices."""
     mesh, count = with_filled_gutters(asset.mesh), len(triangulation.vertices)
     surface, same = Triangulation(target.mesh.vertices, target.mesh.faces), target.digest == asset.digest
-    held, free, damaged = None, None, None
+    held, free, left = None, None, [intact] if intact else []
     if kept:
         shares = kept_shares(mesh, kept, triangulation, SAMPLES)
         held, free = Inpainting(kept, shares, None), shares < HELD
         if controls.fill:
             faces = triangulation.faces
             free = mark(count, faces[(shares < 1)[faces].any(1)])  # no damage is held, however small
-            images = [np.zeros_like(image) for image in mesh.textures]
-            images[kept.index][~kept.texels] = 255
-            damaged = mesh.with_layer(images=tuple(images))
+            left.append(kept)
+    damaged = marked(mesh, *left) if left else None
     # How much larger than in the input details are in the units of the files, which may not be the same.
     size = np.sqrt(face_areas(*surface).sum() / face_areas(mesh.vertices, mesh.faces).sum())
     scale = float(size * np.sqrt(vertices / count))

@@ -9,6 +9,7 @@ codec blurs them.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from flx.assets.asset import Asset, Images
 from flx.controls import Controls, Patches
 from flx.geometry.copies import points_in_rings, queries_at
 from flx.geometry.direction import carried, field_on
-from flx.geometry.labels import labels_on
+from flx.geometry.labels import LabelMap, labels_on
 from flx.geometry.patchwork.anchors import Anchors
 from flx.geometry.patchwork.guides import Guides
 from flx.geometry.tangent import tangent_frames
@@ -26,7 +27,6 @@ from flx.pipeline.canvas import Canvas
 from flx.pipeline.codec import Codec
 from flx.pipeline.direction import read_direction
 from flx.pipeline.generator import Generator
-from flx.pipeline.inpainting import kept_texels
 from flx.pipeline.instant import (
     PatchGenerator,
     color_shifts,
@@ -36,6 +36,7 @@ from flx.pipeline.instant import (
     patches_on,
 )
 from flx.pipeline.labels import read_labels
+from flx.pipeline.masks import kept_texels
 from flx.types import SLOTS, Queries, RingSamples, Slot, Triangulation
 
 ALIKE = 0.15  # difference of colours by which the network's result is another one than the layout's
@@ -97,11 +98,26 @@ def layouts(generator: Generator, triangulation: Triangulation, asset: Asset, co
     vertices = len(generator.home.triangulation.vertices)
     guides, kept = learnt_guides(generator, asset, controls), kept_texels(generator.asset, controls)
     source = asset if asset.digest == generator.asset.digest else generator.asset  # it may have more maps
-    own = patches_on(triangulation, vertices, source, asset, Patches(), controls, guides, kept)
+    rules = Patches(), controls, guides, kept, generator.intact
+    own = patches_on(triangulation, vertices, source, asset, *rules)
     points, logs = points_in_rings(triangulation, generator.codec.config.samples, np.random.default_rng(0))
     return Layouts(
         generator.codec, own, logs, queries_at(points, triangulation, tangent_frames(triangulation))
     )
+
+
+def asked_labels(
+    learnt: LabelMap | None, asset: Asset, patches: Patches, drawn: Path | None
+) -> tuple[LabelMap, LabelMap] | None:
+    """The labels of an asset, and those that are asked for, in one palette; None where there are none.
+
+    Those that were learnt, unless `patches` say what the input is like.
+    """
+    file = patches.input_labels or (drawn if learnt is None else None)
+    before = read_labels(file, asset) if file else learnt
+    if before is None:
+        return None
+    return before, read_labels(drawn, asset, before.palette) if drawn else before
 
 
 def run_guides(

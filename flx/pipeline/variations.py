@@ -24,9 +24,10 @@ from flx.geometry.remesh.remesh import remesh
 from flx.pipeline.canvas import bake, check_size, open_canvas
 from flx.pipeline.direction import read_direction
 from flx.pipeline.generator import Generator, Home
-from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, kept_texels, restored
+from flx.pipeline.inpainting import REPEATS, Inpainting, inpainting, restored
 from flx.pipeline.labels import read_labels
 from flx.pipeline.layout import Layouts, layouts
+from flx.pipeline.masks import kept_texels, without_damage
 from flx.pipeline.transfer import home_on
 from flx.types import Triangulation
 
@@ -48,8 +49,7 @@ def controlled(generator: Generator, controls: Controls, asset: Asset) -> Contro
 
     Raises ValueError for controls that it cannot follow.
     """
-    if asset.digest != generator.asset.digest and (controls.strength < 1 or controls.keep or controls.fill):
-        raise ValueError(f"{asset.path} has no texture to stay near; leave strength, keep and fill out")
+    check_controls(generator, controls, asset)
     home = home_on(generator, asset, controls.scale)
     near = own_codes(generator, home.triangulation) if controls.strength < 1 else None
     kept = kept_texels(generator.asset, controls)
@@ -58,6 +58,14 @@ def controlled(generator: Generator, controls: Controls, asset: Asset) -> Contro
     direction = direction_for(generator, controls, asset, home.triangulation)
     begun = layouts(generator, home.triangulation, asset, controls) if controls.invented < 1 else None
     return Controlled(home, held and held.hook, near, held, labels, direction, begun)
+
+
+def check_controls(generator: Generator, controls: Controls, asset: Asset) -> None:
+    """Raises ValueError for controls that a generator cannot follow on an asset, before anything is made."""
+    if asset.digest != generator.asset.digest and (controls.strength < 1 or controls.keep or controls.fill):
+        raise ValueError(f"{asset.path} has no texture to stay near; leave strength, keep and fill out")
+    check_labels(generator, controls, asset)
+    check_direction(generator, controls, asset)
 
 
 def check_labels(generator: Generator, controls: Controls, asset: Asset) -> LabelMap | None:
@@ -183,17 +191,21 @@ def generate(
     repeats = REPEATS if held else None
     others = begun.other_canvases(texture_size) if begun else []
     share = min(controls.strength, controls.invented)
-    starts = begun.every([[seed, n] for n in range(count)], workers) if begun else repeat(None, count)
-    for n, start in enumerate(starts):
-        key = jax.random.fold_in(jax.random.key(seed), n)
-        rules = (steps, sampler, hook, start.codes if start else near, share, repeats)
-        codes = generator.sample(key, home, *rules, labels, controls.guidance, direction)
-        painter = begun.finished(start, codes) if begun and start else generator.codec.decoder(codes)
-        painting = bake(canvas, painter)
-        painting = restored(held, canvas, painting) if held else painting
-        if begun and start:
-            painting = painting._replace(maps={**painting.maps, **begun.other_maps(others, start)})
-        yield painting
+
+    def paintings() -> Iterator[Painting]:
+        starts = begun.every([[seed, n] for n in range(count)], workers) if begun else repeat(None, count)
+        for n, start in enumerate(starts):
+            key = jax.random.fold_in(jax.random.key(seed), n)
+            rules = (steps, sampler, hook, start.codes if start else near, share, repeats)
+            codes = generator.sample(key, home, *rules, labels, controls.guidance, direction)
+            painter = begun.finished(start, codes) if begun and start else generator.codec.decoder(codes)
+            painting = bake(canvas, painter)
+            painting = restored(held, canvas, painting) if held else painting
+            if begun and start:
+                painting = painting._replace(maps={**painting.maps, **begun.other_maps(others, start)})
+            yield painting
+
+    return paintings()  # what cannot be followed is refused at the call, not at the first texture
 
 
 def reconstruct(generator: Generator, texture_size: int | None = None) -> Painting:
@@ -212,5 +224,6 @@ def own_codes(
     generator: Generator, triangulation: Triangulation, seed: int = 0
 ) -> Complex64[np.ndarray, "V D"]:
     """The codes of the texture that the generator learnt from, at the vertices of a triangulation of it."""
-    mesh, codec = with_filled_gutters(generator.asset.mesh), generator.codec
+    asset, codec = without_damage(generator.asset, generator.intact), generator.codec
+    mesh = with_filled_gutters(asset.mesh)
     return codec.encode(sample_rings(mesh, triangulation, codec.config.samples, seed))

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Complex64, Complex128, Int32
+from jaxtyping import Complex64, Complex128, Float32, Int32
 
 from flx.assets.asset import Asset
 from flx.assets.formats.files import read_file
@@ -35,22 +35,32 @@ from flx.pipeline.generator import (
     save_generator,
 )
 from flx.pipeline.labels import Labels, in_words, read_labels
+from flx.pipeline.masks import Kept, intact_masses, read_damage, without_damage
 from flx.stopping import keeping
 from flx.training.log import say
 from flx.training.loop import LossFn, kept, restore, train
 from flx.training.run import Run, open_run
-from flx.training.run_asset import direction_in, keep, labels_in, read_copy, read_source, source_of
+from flx.training.run_asset import (
+    direction_in,
+    fill_in,
+    keep,
+    labels_in,
+    read_copy,
+    read_source,
+    source_of,
+)
 from flx.types import MeshTables
 
 
 class MeshBatch(NamedTuple):
-    """Copies of one mesh, their scaled latents, and the labels and the direction of their vertices."""
+    """Copies of one mesh, their scaled latents, and what their vertices are like."""
 
     tables: MeshTables
     latents: Any  # Complex64 [B, V, D]
     times: Any  # Int32 [B], from 1 to T
     labels: Any = None  # Int32 [B, V]
     direction: Any = None  # Complex64 [B, V]
+    masses: Any = None  # Float32 [B, V], of vertices in the loss, where some of the texture is damaged
 
 
 def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = None) -> Run:
@@ -64,12 +74,13 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     asset = read_source(surface)
     labelled = read_labels(Path(surface.labels), asset) if surface.labels else None
     drawn = read_direction(surface.direction, asset) if surface.direction else None
+    intact = read_damage(Path(surface.fill), asset) if surface.fill else None
     experiment = completed(experiment, codec, labelled, drawn)
     network = network_of(experiment.model)
     fingerprint = fingerprint_of(asset, codec, surface)
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
-    rules = experiment.model.emphasis, labelled, drawn, workers
+    rules = experiment.model.emphasis, labelled, drawn, intact, workers
     copies, scaling, home, labels, direction = load_copies(run, asset, surface, codec, *rules)
     keeping(lambda: kept(run))
     source = source_of(run, surface, asset)
@@ -92,7 +103,9 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
         generator = learnt_generator(experiment, params, *parts)
         save_generator(run.generator, generator)
 
-    tables, latents, numbers, vectors = jax.tree.map(lambda a: a[0], copies)
+    tables, latents, numbers, vectors, masses = jax.tree.map(lambda a: a[0], copies)
+    if masses is not None:
+        say(f"{run.folder}: {surface.fill} hides {tables.fine.masses[masses == 0].sum():.1%} of the surface")
     seen = conditions_of(experiment.model, numbers, vectors)
     params = jax.jit(network.init)(jax.random.key(config.seed), tables, latents, jnp.float32(1), *seen)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
@@ -117,6 +130,8 @@ def fingerprint_of(asset: Asset, codec: Codec, surface: Surface) -> str:
         parts += hashlib.sha256(read_file(Path(surface.labels))).hexdigest()
     if surface.direction:
         parts += digest_of_direction(surface.direction)
+    if surface.fill:
+        parts += "fill" + hashlib.sha256(read_file(Path(surface.fill))).hexdigest()
     return hashlib.sha256(parts.encode()).hexdigest()
 
 
@@ -133,6 +148,7 @@ Copies = tuple[
     Complex64[np.ndarray, "B V D"],
     Int32[np.ndarray, "B V"] | None,
     Complex64[np.ndarray, "B V"] | None,
+    Float32[np.ndarray, "B V"] | None,
 ]
 
 
@@ -144,18 +160,24 @@ def load_copies(
     emphasis: float,
     labelled: LabelMap | None = None,
     direction: Direction | None = None,
+    intact: Kept | None = None,
     workers: int | None = None,
 ) -> tuple[Copies, Scaling, Home, Labels | None, Complex128[np.ndarray, "V"] | None]:
-    """Tables, scaled latents, labels and directions of all copies of the asset, prepared if need be, and the
-    scaling.
+    """Tables, scaled latents, labels, directions and masses in the loss of all copies of the asset, prepared
+    if need be, and the scaling.
 
     The first copy is also returned as it is, with its labels and its direction: the generator samples on it.
     The direction is computed there, and carried to the others.
     """
-    cache = open_cache(run.prepared, asset, surface, codec)
-    copies = prepare(cache, asset, surface, codec, workers)
+    learnt, masses = without_damage(asset, intact), None
+    cache = open_cache(run.prepared, learnt, surface, codec)
+    copies = prepare(cache, learnt, surface, codec, workers)
     latents = [copy.latents for copy in copies]
     every = np.concatenate(latents)
+    if intact is not None:
+        each = ((copy.triangulation, copy.tables.fine.masses) for copy in copies)
+        masses = np.stack([intact_masses(asset.mesh, intact, *copy) for copy in each])
+        every = every[masses.ravel() > 0]
     scaling = latent_scaling(every, codec.config.invariants)
     if emphasis:
         effects = codec.effects(every, scaling)
@@ -171,7 +193,7 @@ def load_copies(
         field = field_on(direction, home.triangulation)
         others = [carried(field, home.triangulation, copy.triangulation) for copy in copies[1:]]
         vectors = np.stack([field, *others]).astype(np.complex64)
-    return (tables, scaled, numbers, vectors), scaling, home, labels, field
+    return (tables, scaled, numbers, vectors, masses), scaling, home, labels, field
 
 
 def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
@@ -183,8 +205,9 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     asset = read_copy(run, surface)
     labelled = read_labels(labels_in(run, surface), asset) if surface.labels else None
     direction = read_direction(said, asset) if (said := direction_in(run, surface)) else None
+    intact = read_damage(fill_in(run, surface), asset) if surface.fill else None
     experiment = completed(experiment, codec, labelled, direction)
-    rules = experiment.model.emphasis, labelled, direction
+    rules = experiment.model.emphasis, labelled, direction, intact
     _, scaling, home, labels, field = load_copies(run, asset, surface, codec, *rules)
     state = restore(run, experiment.train, parameter_shapes(experiment.model, home.tables))
     source = source_of(run, surface, asset)
@@ -206,7 +229,8 @@ def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
     """
     alphas = jnp.asarray(schedule(model), jnp.float32)
 
-    def one(params, tables: MeshTables, latents: Array, t: Array, labels, direction, key: Array) -> Array:
+    def one(params, copy: MeshBatch, key: Array) -> Array:
+        tables, latents, t, labels, direction, masses = copy
         noise = tangent_noise(key, latents.shape)
         noisy = diffusion.diffuse(latents, noise, alphas[t])
         rho, vectors = conditions_of(model, labels, direction)
@@ -216,15 +240,14 @@ def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
             vectors = dropped(jax.random.fold_in(key, 2), vectors, model.direction_dropout)
         predicted = denoise(network, params, tables, noisy, t.astype(jnp.float32), rho, vectors)
         errors = jnp.mean(squared_modulus(predicted - noise), -1) / 2
-        error = jnp.sum(tables.fine.masses * errors)
+        error = jnp.sum((tables.fine.masses if masses is None else masses) * errors)
         return error / alphas[t] if model.predicts == "velocity" else error
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
         if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
-            tables, latents, t, labels, direction = jax.tree.map(lambda a: a[0], batch)
-            return one(params, tables, latents, t, labels, direction, key), {}
+            return one(params, jax.tree.map(lambda a: a[0], batch), key), {}
         keys = jax.random.split(key, batch.latents.shape[0])
-        each = jax.vmap(one, (None, 0, 0, 0, 0, 0, 0))(params, *batch, keys)
+        each = jax.vmap(one, (None, 0, 0))(params, batch, keys)
         return jnp.mean(each), {}
 
     return loss

@@ -37,6 +37,7 @@ PLACES = (
     "surface.texture",
     "surface.labels",
     "surface.direction",
+    "surface.fill",
     "weights",
     "images.folder",
 )

@@ -1,7 +1,7 @@
 """The asset of a run: read from where the experiment says, and copied whole into the run folder.
 
 `asset/files/` holds the mesh with every file that it needs, `asset/texture/` the image that replaces its own,
-`asset/labels/` that of its labels, `asset/direction/` that of its strokes.
+`asset/labels/` that of its labels, `asset/direction/` that of its strokes, `asset/fill/` that of its damage.
 Reading them gives the same bits as the originals. (Older runs have `asset/asset.glb`.)
 """
 
@@ -47,6 +47,8 @@ def keep(asset: Asset, run: Run, surface: Surface) -> Asset:
             write_atomically(texture, read_file(Path(surface.texture or "")))
         if surface.labels:
             write_atomically(labels_in(run, surface), read_file(Path(surface.labels)))
+        if surface.fill:
+            write_atomically(fill_in(run, surface), read_file(Path(surface.fill)))
         if surface.direction and (strokes := file_of(surface.direction)):
             write_atomically(run.asset / "direction" / strokes.name, read_file(strokes))
         _copy(asset, path, given=texture is not None)  # last: where it is, all is
@@ -68,12 +70,18 @@ def source_of(run: Run, surface: Surface, asset: Asset) -> Source:
 
     contents = {place(path): read_file(path) for path in sorted(files)}
     labels = place(labels_in(run, surface)) if surface.labels else None
-    return Source(place(mesh), place(texture) if texture else None, asset.digest, contents, labels)
+    fill = place(fill_in(run, surface)) if surface.fill else None
+    return Source(place(mesh), place(texture) if texture else None, asset.digest, contents, labels, fill)
 
 
 def labels_in(run: Run, surface: Surface) -> Path:
     """Where the run has its labels, if it has any."""
     return run.asset / "labels" / Path(surface.labels or "").name
+
+
+def fill_in(run: Run, surface: Surface) -> Path:
+    """Where the run has the mask of its damage, if it has any."""
+    return run.asset / "fill" / Path(surface.fill or "").name
 
 
 def direction_in(run: Run, surface: Surface) -> str:

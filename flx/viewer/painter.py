@@ -30,6 +30,7 @@ from flx.geometry.regions import PALETTE
 from flx.geometry.render import corner_normals
 from flx.pipeline.direction import MOST_BYTES, strokes_of
 from flx.pipeline.labels import read_labels
+from flx.pipeline.masks import read_mask
 from flx.types import TexturedMesh
 from flx.viewer.drawings import (
     CHANGE,
@@ -174,8 +175,6 @@ class TexelPainter(Painter):
     def _started(self, start: Path | None) -> Drawing:
         shape = self.atlas.faces.shape
         if self.mode == "keep":
-            from flx.pipeline.inpainting import read_mask  # which loads JAX
-
             white = np.zeros(shape, bool) if start is None else read_mask(start, shape)
             return Drawing((CHANGE, KEEP), white.astype(np.uint8))
         if start is None:

@@ -21,9 +21,10 @@ def made(tmp_path, monkeypatch) -> list:
     home = SimpleNamespace(triangulation=SimpleNamespace(vertices=[0] * 177))
     experiment = SimpleNamespace(surface=Surface())
     run = SimpleNamespace(asset=asset, home=home, experiment=experiment)
+    run.labels = run.labelled = run.direction = run.intact = None
 
     def generate(generator, count, *_, controls, **__):
-        calls.append(("generate", controls.invented))
+        calls.append(("generate", controls.invented) if controls.guidance else "without labels")
         return iter([own_painting(generator.asset)] * count)
 
     def patchworks(vertices: int, count: int, *_):
@@ -32,19 +33,43 @@ def made(tmp_path, monkeypatch) -> list:
 
     def judge_samples(_, samples, others, seed):
         calls.append(("judged", [*samples]))
-        return {}
+        return {name: {} for name in (*samples, "samples", "input")}
+
+    def labels_followed(mesh, own, wanted, textures, seed):
+        assert (own, wanted) == ("own labels", "own labels")
+        return {name: 0.2 if "without" in name else 0.8 for name in ("input", *textures)}
 
     monkeypatch.setattr("flx.training.load.load_generator", lambda _: run)
     monkeypatch.setattr("flx.pipeline.variations.generate", generate)
     monkeypatch.setattr("flx.pipeline.variations.reconstruct", lambda *_: own_painting(asset))
-    monkeypatch.setattr("flx.pipeline.instant.patch_generator", lambda _, patches: patches.vertices)
+    monkeypatch.setattr("flx.pipeline.instant.patch_generator", lambda _, patches, *rest: patches.vertices)
     monkeypatch.setattr("flx.pipeline.instant.patchworks", patchworks)
     monkeypatch.setattr("flx.assets.vase.vase_asset", lambda: asset)
     monkeypatch.setattr("flx.evaluation.controls.controls", lambda *_: {})
     monkeypatch.setattr("flx.evaluation.samples.judge_samples", judge_samples)
+    monkeypatch.setattr("flx.evaluation.labels.labels_followed", labels_followed)
+    monkeypatch.setattr("flx.pipeline.layout.run_guides", lambda *_: None)
     monkeypatch.setattr("flx.evaluation.report.page", lambda *_: "")
     (tmp_path / "run").mkdir()
     return calls
+
+
+def test_a_run_with_labels_is_judged_by_them_with_and_without(tmp_path, monkeypatch, made):
+    """The same number of samples at guidance 0, which are judged by their labels alone."""
+    monkeypatch.setattr("flx.pipeline.layout.asked_labels", lambda *_: ("own labels", "own labels"))
+    Evaluate(source=tmp_path / "run", count=2, out=tmp_path / "out")()
+    assert made == [("generate", INVENTION), "without labels", ("judged", ["sample 0", "sample 1"])]
+    rows = json.loads((tmp_path / "out" / "evaluation.json").read_bytes())["rows"]
+    told = {name: {"labels_1": 0.8} for name in ("sample 0", "sample 1", "samples", "input")}
+    assert rows == {**told, "without labels": {"labels_1": 0.2}}
+
+
+def test_labels_go_with_what_is_made(tmp_path):
+    path = tmp_path / "zones.png"
+    with pytest.raises(ValueError, match=r"zones.png say how to make samples; leave out"):
+        Evaluate(source=tmp_path, samples=(tmp_path / "a.glb",), labels=path)()
+    with pytest.raises(ValueError, match=r"input labels .*zones.png go with --instant; add that"):
+        Evaluate(source=tmp_path, input_labels=path)()
 
 
 @pytest.mark.parametrize(

@@ -1,23 +1,28 @@
-"""A small generator of a coloured ball."""
+"""Small generators of a coloured ball."""
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from helpers.surfaces import icosphere
 
+from flx.assets.arrays import from_arrays
+from flx.assets.asset import Asset, own_painting
 from flx.assets.read import read_asset
+from flx.assets.write import write
 from flx.config import FLDM, FLDMExperiment, Surface
 from flx.fields.diffusion import Scaling
 from flx.geometry.direction import field_on
 from flx.geometry.labels import labels_on
 from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.depth import complete
+from flx.models.denoiser.unet import schedule
 from flx.pipeline.codec import load_codec
 from flx.pipeline.generator import Generator, Home, Source, learnt_generator, network_of
 from flx.pipeline.labels import Labels, read_labels
-from flx.types import Triangulation
+from flx.types import MeshTables, Triangulation
 
 BALL = icosphere(2)
 COLORS = np.random.default_rng(0).integers(0, 256, (162, 3))
@@ -73,3 +78,49 @@ def ball_generator(folder: Path, labelled: bool = False, direction: str = "") ->
     field = field_on(direction, sphere) if direction else None
     rest = Home(sphere, tables), source, 7, labels, field
     return learnt_generator(experiment, params, scaling, codec, *rest)
+
+
+def textured_ball() -> Asset:
+    """A sphere seen from above and from below: two charts, side by side, on a texture of 64 × 96 pixels."""
+    corners = BALL.vertices[BALL.faces]
+    below = corners.mean(1)[:, 2] < 0
+    uvs = corners[..., :2] * [0.15, 0.22] + [0.25, 0.5] + below[:, None, None] * [0.5, 0.0]
+    rows, columns = np.mgrid[:64, :96]
+    waves = [np.sin(columns / 3) + np.cos(rows / 4), np.cos(columns / 5), np.sin(rows / 5 + columns / 7)]
+    return from_arrays(*BALL, uvs, np.rint(127 + 60 * np.stack(waves, -1)).astype(np.uint8))
+
+
+def noise_in(params: Any, tables: MeshTables, z: jax.Array, t: jax.Array, seen: Any = None) -> jax.Array:
+    """Stands in for a network; it costs nothing to compile, and minds what it is told."""
+    told = 0 if seen is None else 0.1 * (seen.rho @ jnp.ones((3, 8)) * jnp.arange(8) + seen.direction)
+    return 0.9 * z + told
+
+
+def function_generator(folder: Path) -> Generator:
+    """Of the textured ball, with labels and the direction z; `noise_in` is its network.
+
+    The files are written to `folder`.
+    """
+    asset = textured_ball()
+    write(asset, own_painting(asset), folder / "ball.glb")
+    (folder / "zones.ply").write_bytes(labelled_sphere())
+    asset = read_asset(folder / "ball.glb")
+    found = read_labels(folder / "zones.ply", asset)
+    names = {"files/ball.glb": "ball.glb", "labels/zones.ply": "zones.ply"}
+    files = {place: (folder / name).read_bytes() for place, name in names.items()}
+    codec = load_codec()
+    scaling = Scaling(np.zeros(8, np.complex64), np.full(8, 1 + 1j, np.complex64))
+    model = complete(FLDM(steps=200), codec.config, 162, 3, 1)
+    return Generator(
+        noise_in,
+        {},
+        schedule(model),
+        scaling,
+        codec,
+        Home(BALL, mesh_tables(BALL)),
+        Source("files/ball.glb", None, asset.digest, files, "labels/zones.ply"),
+        FLDMExperiment(model=model, surface=Surface(vertices=162, up="z")),
+        7,
+        Labels(found.palette, labels_on(found, BALL)),
+        field_on("z", BALL),
+    )

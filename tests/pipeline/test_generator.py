@@ -129,6 +129,20 @@ def test_a_flipped_bit_is_never_loaded(file, tmp_path_factory, data):
     assert "\n" not in str(refusal.value)
 
 
+def test_a_generator_knows_what_is_damaged_when_it_was_saved(generator, tmp_path):
+    files = generator.source.files | {"fill/mask.png": b"as it is"}
+    surface = dataclasses.replace(generator.experiment.surface, fill="/home/anna/mask.png")
+    damaged = dataclasses.replace(
+        generator,
+        source=generator.source._replace(fill="fill/mask.png", files=files),
+        experiment=dataclasses.replace(generator.experiment, surface=surface),
+    )
+    save_generator(tmp_path / "a.safetensors", damaged)
+    read = read_generator(tmp_path / "a.safetensors")
+    assert read.source.fill == "fill/mask.png" and read.experiment.surface.fill == "mask.png"
+    assert read.source.files == files and generator.intact is None
+
+
 @pytest.mark.parametrize("length", [0, 7, 100, -1])
 def test_a_torn_file_is_refused(file, tmp_path, length):
     torn = tmp_path / "generator.safetensors"

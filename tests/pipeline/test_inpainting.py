@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.generators import textured_ball
 from helpers.surfaces import icosphere
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from flx.assets.arrays import from_arrays
-from flx.assets.asset import Asset, Painting
+from flx.assets.asset import Painting
 from flx.controls import Controls
 from flx.geometry.seams import border_ratio
 from flx.pipeline.canvas import open_canvas, shown
@@ -20,29 +20,18 @@ from flx.pipeline.generator import Generator
 from flx.pipeline.inpainting import (
     HELD,
     Inpainting,
-    Kept,
     held,
     inpainting,
     kept_shares,
-    kept_texels,
     restored,
 )
+from flx.pipeline.masks import Kept, kept_texels
 from flx.pipeline.variations import generate
 
 BALL = icosphere(2)
 
 
-def ball() -> Asset:
-    """A sphere seen from above and from below: two charts, side by side, on a texture of 64 × 96 pixels."""
-    corners = BALL.vertices[BALL.faces]
-    below = corners.mean(1)[:, 2] < 0
-    uvs = corners[..., :2] * [0.15, 0.22] + [0.25, 0.5] + below[:, None, None] * [0.5, 0.0]
-    rows, columns = np.mgrid[:64, :96]
-    waves = [np.sin(columns / 3) + np.cos(rows / 4), np.cos(columns / 5), np.sin(rows / 5 + columns / 7)]
-    return from_arrays(*BALL, uvs, np.rint(127 + 60 * np.stack(waves, -1)).astype(np.uint8))
-
-
-ASSET = ball()
+ASSET = textured_ball()
 TEXTURE = ASSET.mesh.textures[0]
 SHAPE = TEXTURE.shape[:2]
 HALF = np.arange(SHAPE[0])[:, None] + np.zeros(SHAPE, int) < 32  # the upper half of the image, white

@@ -46,6 +46,25 @@ def test_the_loss_is_zero_for_who_knows_the_answer_and_one_for_who_says_nothing(
         np.testing.assert_allclose(found, expected, atol=close)
 
 
+class KnowingMost(Knowing):
+    """Knows nothing at the first nine vertices."""
+
+    @nn.compact
+    def __call__(self, tables, z, t, rho=None, direction=None):
+        return super().__call__(tables, z, t).at[:9].add(100)
+
+
+def test_vertices_without_mass_do_not_count_in_the_loss():
+    model, tables = FLDM(), mesh_tables(square_grid(8))
+    masses = np.where(np.arange(64) < 9, 0, tables.fine.masses).astype(np.float32)
+    loss = jax.jit(diffusion_loss(model, KnowingMost(model, (1, 1, 1))))
+    for copies in (1, 3):
+        batch = MeshBatch(stack([tables] * copies), jnp.stack([DATA] * copies), np.full(copies, 500))
+        blind = batch._replace(masses=np.stack([masses] * copies))
+        assert loss({}, batch, jax.random.key(0))[0] > 100
+        np.testing.assert_allclose(loss({}, blind, jax.random.key(0))[0], 0, atol=1e-3)
+
+
 @given(seed=st.integers(0, 99), first=st.integers(0, 10_000))
 def test_any_stretch_of_a_training_draws_all_noise_levels(seed, first):
     """Uniform: each tenth of the schedule has its share. Log-normal: so has each tenth of the normal."""

@@ -14,7 +14,7 @@ from flx.assets.formats.obj_source import ObjSource
 from flx.assets.write import write
 from flx.config import Surface
 from flx.training.run import Run
-from flx.training.run_asset import direction_in, keep, read_copy, read_source
+from flx.training.run_asset import direction_in, fill_in, keep, read_copy, read_source, source_of
 
 
 def obj(folder: Path) -> Path:
@@ -165,3 +165,14 @@ def test_strokes_are_kept_with_the_mesh_and_a_word_is_itself(tmp_path):
     assert kept.is_relative_to(tmp_path / "a") and kept.read_bytes() == written
     assert direction_in(Run(tmp_path / "b"), worded) == "y" and not (tmp_path / "b/asset/direction").exists()
     assert direction_in(Run(tmp_path / "b"), Surface(path=path)) == ""
+
+
+def test_a_mask_of_damage_is_kept_with_the_mesh(tmp_path):
+    Image.new("L", (4, 4)).save(tmp_path / "mask.png")
+    path = str(glb_file(tmp_path / "mesh"))
+    run, surface = Run(tmp_path / "run"), Surface(path=path, fill=str(tmp_path / "mask.png"))
+    asset = keep(read_source(surface), run, surface)
+    source = source_of(run, surface, asset)
+    assert source.fill == "fill/mask.png"
+    assert source.files[source.fill] == (tmp_path / "mask.png").read_bytes()
+    assert fill_in(run, surface).exists() and source_of(run, Surface(path=path), asset).fill is None

@@ -15,8 +15,8 @@ from PIL import Image
 from flx.assets.arrays import from_arrays
 from flx.geometry.atlas import fill_gutter
 from flx.pipeline.direction import read_direction
-from flx.pipeline.inpainting import read_mask
 from flx.pipeline.labels import read_labels
+from flx.pipeline.masks import read_mask
 from flx.viewer.drawings import own_drawing
 from flx.viewer.painter import StrokePainter, TexelPainter
 

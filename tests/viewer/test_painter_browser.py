@@ -18,7 +18,7 @@ from helpers.surfaces import torus
 from flx.assets.arrays import from_arrays
 from flx.geometry.seams import seam_corners
 from flx.pipeline.direction import read_direction
-from flx.pipeline.inpainting import read_mask
+from flx.pipeline.masks import read_mask
 from flx.viewer.painter import Painter, StrokePainter, TexelPainter
 from flx.viewer.server import Loopback
 

@@ -1,8 +1,11 @@
 """Laws of guides: labels go where they belong, directions turn with the target, frames do not matter."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
-from geometry.patchwork.test_synthesis import BALL, synthesis_of
+from geometry.patchwork.test_synthesis import BALL, WHOLE, synthesis_of
 from helpers.surfaces import icosphere, square_grid
 
 from flx.geometry.direction import field_on
@@ -12,12 +15,13 @@ from flx.geometry.patchwork.guides import (
     Character,
     Guides,
     Weights,
+    character,
     chart_costs,
     curvature,
     unlike,
 )
 from flx.geometry.patchwork.search import anchors_of
-from flx.geometry.patchwork.synthesis import synthesize
+from flx.geometry.patchwork.synthesis import Level, synthesize
 from flx.types import Triangulation
 
 
@@ -40,6 +44,29 @@ def test_a_label_is_filled_from_the_same_label_of_the_input():
         places = placed(level.source.surface, synthesize(guided, 0, weights=Weights(others=weight)))[0]
         shares.append(((places[:, 2] > 0) == wanted)[~edge].mean())
     assert shares[0] > 0.97 and shares[1] < 0.8
+
+
+def test_labels_in_another_order_and_guidance_0_change_nothing():
+    """By number labels mean nothing, and at weight 0 they are not there."""
+
+    def anchors(number: Callable[[Any], Any], weight: float = 1.0) -> Anchors:
+        def labelled(level: Level) -> Level:
+            sides = (level.source.surface, upper), (level.target, right)
+            one, other = (
+                character(surface, Guides(lambda t, of=of: number(of(t)).astype(np.int32)))
+                for surface, of in sides
+            )
+            return level._replace(characters=(one, other))
+
+        guided = WHOLE._replace(levels=tuple(map(labelled, WHOLE.levels)))
+        return synthesize(guided, 0, weights=Weights(others=weight))
+
+    told, again = anchors(lambda n: n), anchors(lambda n: 7 - n)
+    none, ignored = synthesize(WHOLE, 0), anchors(lambda n: n, 0.0)
+    for one, two in ((told, again), (none, ignored)):
+        for a, b in zip(one, two, strict=True):
+            np.testing.assert_array_equal(a, b)
+    assert (told.vertices != none.vertices).mean() > 0.3
 
 
 @pytest.mark.parametrize("degrees", [0, 90])

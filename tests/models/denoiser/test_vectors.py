@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.compiling import compiled
 from helpers.denoisers import COUNT, FILTERS, RHO, SMALL, TORUS, denoiser
 from helpers.frames import field, relative, tables_of, turned
 from helpers.surfaces import icosphere
@@ -58,6 +59,28 @@ def test_the_denoiser_turns_with_the_frames(filter):
     assert relative(apply(params, turned(TORUS, alpha), turn * z, t, RHO), expected) < 1e-5
     # The check fails where the frames turn and the vectors do not.
     assert relative(apply(params, turned(TORUS, alpha), z, t, RHO), expected) > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("network", [Denoiser, MixedDenoiser])
+def test_a_direction_turns_with_the_frames(network):
+    """Turned with them it changes nothing; turned alone it does."""
+    invariants = 2 if network is MixedDenoiser else 0
+    model = network(dataclasses.replace(SMALL, latents=4, invariants=invariants, directions=1), (1, 1, 1))
+    alpha = np.random.default_rng(0).uniform(0, 2 * np.pi, COUNT)
+    turn = np.exp(1j * alpha)[:, None].astype(np.complex64)
+    turns = np.concatenate([np.repeat(turn, 4 - invariants, 1), np.ones((COUNT, invariants))], 1)
+    z, t, way = field(COUNT, 4), jnp.float32(300.0), field(COUNT, 1, 7)
+    way = way / jnp.abs(way)
+    shapes = jax.eval_shape(model.init, jax.random.key(0), TORUS, z, t, RHO, way)
+    rng = np.random.default_rng(1)  # drawn, not initialised: that would be compiled as well
+    params = jax.tree.map(lambda a: rng.normal(size=a.shape, scale=0.2).astype(a.dtype), shapes)
+    apply = compiled(model.apply)
+    here = apply(params, TORUS, z, t, RHO, way)
+    there = apply(params, turned(TORUS, alpha), turns * z, t, RHO, turn * way)
+    assert relative(there, turns * here) < 1e-5
+    for other in (1j * way, -way, 0 * way):
+        assert relative(apply(params, TORUS, z, t, RHO, other), here) > 1e-3
 
 
 @pytest.mark.slow
