@@ -1,15 +1,21 @@
 """`flx evaluate`: how good samples are, or how well each method keeps the textures of some meshes."""
 
+import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from tqdm import tqdm
 from tyro.conf import Positional
 
+from flx.commands.output import own_folder, settings
 from flx.commands.stages import Stages
 from flx.config import STEPS, Comparison, Sampler
 from flx.controls import Controls, Patches
+
+JUDGED = ("texture_size", "seed")  # the fields of a comparison that samples are judged by, too
+# Options that what is judged does not depend on, or that are recorded otherwise.
+APART = ("source", "instant", *(f.name for f in fields(Comparison) if f.name not in JUDGED))
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,7 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     from flx.files import write_atomically
     from flx.geometry.render import contact_sheet, render
     from flx.pipeline.canvas import VIEWS, check_size, shown
+    from flx.pipeline.codec import digest_of
     from flx.pipeline.instant import patch_generator, patchworks
     from flx.pipeline.transfer import LEAST
     from flx.pipeline.variations import generate, reconstruct
@@ -70,19 +77,30 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         raise ValueError("two files of --samples have the same name; rename one: rows are named after files")
     stage = Stages(2 if options.samples else 3)
     samples = {path.stem: read_asset(path).mesh for path in options.samples}
-    generator, folder, made = None, Path("evaluation"), None
+    generator, home, made = None, Path(), None
     if source and (source.is_dir() or source.suffix == ".safetensors"):
         generator = load_generator(source)
         asset, up = generator.asset, generator.experiment.surface.up
-        folder = (source if source.is_dir() else source.parent) / "evaluation"
-        if not samples:
-            others["codec"] = shown(asset, reconstruct(generator, size))
+        home = source if source.is_dir() else source.parent
     elif not (samples or options.instant):
         raise ValueError(
             f"{source} is a mesh; name the meshes to judge after --samples, add --instant, or give a run"
         )
     else:
         asset = read_asset(source) if source else vase_asset()
+    made_by = {
+        **settings(options, APART),
+        "instant": options.instant,
+        "invention": None if options.instant else Controls(invention=options.invention).invented,
+        "asset": asset.digest[:12],
+        "generator": digest_of(generator.params)[:12] if generator else None,
+        "digests": [hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in options.samples],
+    }
+    usual = home / ("evaluation-instant" if options.instant else "evaluation")
+    also = f"step-{generator.step}" if generator else asset.digest[:8]
+    out, _ = own_folder(options, usual, also, "evaluation.json", made_by, ["evaluation.html"], APART)
+    if generator and not samples:
+        others["codec"] = shown(asset, reconstruct(generator, size))
     if options.instant:
         count = len(generator.home.triangulation.vertices) if generator else Patches().vertices
         patches = patch_generator(asset, Patches(vertices=max(count, LEAST)))
@@ -97,20 +115,12 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     others |= controls(asset.mesh, options.seed)
     stage(f"judging {len(samples)} samples and {len(others)} controls")
     rows = judge_samples(asset.mesh, samples, others, options.seed)
-    out, meshes = options.out or folder, {"input": asset.mesh, **samples, **others}
+    meshes = {"input": asset.mesh, **samples, **others}
     stage(f"picturing them, to {out}")
     views = [
         [render(mesh, azimuth=a, elevation=e, size=256, up=up) for mesh in meshes.values()] for a, e in VIEWS
     ]
-    record = {
-        "source": str(source or "the vase of flx"),
-        "instant": options.instant,
-        "invention": None if options.instant else Controls(invention=options.invention).invented,
-        "seed": options.seed,
-        "sampler": options.sampler,
-        "steps": options.steps,
-        "rows": rows,
-    }
+    record = {"source": str(source or "the vase of flx"), **made_by, "rows": rows}
     write_atomically(out / "evaluation.json", (json.dumps(record, indent=2) + "\n").encode())
     sheet = contact_sheet(views, list(meshes))
     write_atomically(
