@@ -60,7 +60,7 @@ def check_all(part: str, values: object, **least: int | float) -> None:
 
 def _are_blocks(values: object) -> bool:
     counts = values if isinstance(values, tuple) else ()
-    return len(counts) == 3 and all(isinstance(n, int) and 0 <= n <= MOST_LAYERS for n in counts)
+    return len(counts) == 3 and all(isinstance(n, int) and 1 <= n <= MOST_LAYERS for n in counts)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class FLDM:
         if self.embedding % 2:
             raise ValueError(f"model.embedding is {self.embedding}; make it even, for cosines and sines")
         if self.blocks is not None and not _are_blocks(self.blocks):
-            raise ValueError(f"model.blocks is {self.blocks!r}; give three numbers of 0 to {MOST_LAYERS}")
+            raise ValueError(f"model.blocks is {self.blocks!r}; give three numbers of 1 to {MOST_LAYERS}")
 
     @property
     def code_channels(self) -> tuple[int, int]:
