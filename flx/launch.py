@@ -18,6 +18,7 @@ import hashlib
 import io
 import os
 import platform
+import re
 import sys
 import tempfile
 import traceback
@@ -30,6 +31,12 @@ from flx.stopping import ended_by_signals
 
 COMMANDS = ("doctor", "sample", "labels", "paint", "reconstruct", "evaluate", "bench")  # and train
 ALLOCATOR = {"hugetlb": 1, "mmap_threshold": 2**33, "trim_threshold": 2**34}  # thresholds in bytes
+LESS = {  # what of a command takes less memory
+    "train": "use fewer --surface.vertices, --model.channels or a smaller --train.batch",
+    "sample": "use a smaller --texture-size or a larger --scale",
+    "reconstruct": "use fewer --vertices or a smaller --texture-size",
+    "evaluate": "use a smaller --texture-size or a smaller --count",
+}
 PROGRAM_BYTES = 2**29  # kept of compiled programs; the least recently used go first
 
 
@@ -79,12 +86,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with ended_by_signals():
             parse(words)()
-    except (ValueError, OSError, FloatingPointError, MemoryError) as error:
+    except (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError) as error:
         if verbose:
             traceback.print_exc()
+        if lacking := lack_of_memory(error, words[0]):
+            return _complain(lacking, 1)
+        if isinstance(error, RuntimeError):  # a fault of flx itself
+            raise
         wrong_input = isinstance(error, ValueError | FileNotFoundError | IsADirectoryError)
         return _complain(" ".join(str(error).split()) or type(error).__name__, 2 if wrong_input else 1)
     return 0
+
+
+def lack_of_memory(error: Exception, verb: str) -> str:
+    """What there was no memory for, and what takes less; "" for any other error, and for one that says it.
+
+    JAX raises a RuntimeError of its own for that, on CPUs and on GPUs.
+    """
+    said = " ".join(str(error).split())
+    of_jax = isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in said
+    if not of_jax and not (isinstance(error, MemoryError) and ";" not in said):
+        return ""
+    sizes = re.search(r"(?:allocat\w+|allocate) ([\d.,]+ ?[KMGTPE]?i?[Bb](?:ytes)?)", said)
+    what = f" for {sizes[1]}" if sizes else ""
+    return f"there is not enough memory{what}; {LESS.get(verb, 'close other programs, or take a larger machine')}"
 
 
 def command() -> int:

@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -50,6 +51,30 @@ def test_a_name_that_the_output_cannot_spell_is_no_error(tmp_path):
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "kula \\u65e5\\u672c.obj" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("verb", "work", "said"),
+    [
+        ("train", lambda: jnp.zeros(1 << 47), "for 562949953421312 bytes; use fewer --surface.vertices"),
+        ("sample", lambda: np.zeros(1 << 57), "for 1.00 EiB; use a smaller --texture-size"),
+        ("bench", lambda: 1 * [0] * (1 << 60), "; close other programs"),
+    ],
+)
+def test_a_lack_of_memory_is_one_line_with_what_takes_less(monkeypatch, capsys, verb, work, said):
+    monkeypatch.setattr("flx.launch.parse", lambda _: work)
+    assert main([verb]) == 1
+    line = capsys.readouterr().err
+    assert line.startswith("flx: there is not enough memory") and said in line and line.count("\n") == 1
+
+
+def test_a_fault_of_flx_itself_keeps_its_traceback(monkeypatch):
+    def faulty() -> None:
+        raise RuntimeError("not foreseen")
+
+    monkeypatch.setattr("flx.launch.parse", lambda _: faulty)
+    with pytest.raises(RuntimeError, match="not foreseen"):
+        main(["bench"])
 
 
 @pytest.fixture(scope="module")
