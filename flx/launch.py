@@ -109,7 +109,8 @@ def lack_of_memory(error: Exception, verb: str) -> str:
         return ""
     sizes = re.search(r"(?:allocat\w+|allocate) ([\d.,]+ ?[KMGTPE]?i?[Bb](?:ytes)?)", said)
     what = f" for {sizes[1]}" if sizes else ""
-    return f"there is not enough memory{what}; {LESS.get(verb, 'close other programs, or take a larger machine')}"
+    less = LESS.get(verb, "close other programs, or take a larger machine")
+    return f"there is not enough memory{what}; {less}"
 
 
 def command() -> int:

@@ -13,8 +13,8 @@ from tyro.conf import Positional
 
 from flx.assets.assemble import faults_of
 from flx.assets.asset import Asset, Report
-from flx.assets.formats.files import quoted
 from flx.assets.detail import Detail, detail, psnr_at, vertices_for
+from flx.assets.formats.files import quoted
 from flx.assets.inspect import coverage, inside_out_components, ring_pixels, texel_counts
 from flx.assets.read import read_asset
 from flx.assets.tints import tints_in_words
@@ -165,8 +165,8 @@ def _turned(asset: Asset) -> list[str]:
     """Images that some programs turn."""
     names = [texture.name for texture in asset.textures if texture.turned]
     return [
-        f"EXIF data turn {quoted(name)}: browsers do so, flx and Blender take it as it is stored; save it anew "
-        "as it should lie"
+        f"EXIF data turn {quoted(name)}: browsers do so, flx and Blender take it as it is stored; save it "
+        "anew, as it should lie"
         for name in names
     ]
 

@@ -12,6 +12,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from flx.files import check_place
+
 APART = ("run", "out", "count", "up", "viewer", "instant")  # options on which no mesh that is written depends
 
 
@@ -35,10 +37,11 @@ def own_folder(
     its name; where that holds the files of another call, also `also`; then a number.
 
     A folder is that of another call if its record differs from `wanted`, or if it has no record but some of
-    the `files`. Raises ValueError where `options.out` is.
+    the `files`. Raises ValueError where `options.out` is, and where no folder can be made.
     """
     files = list(files)
     if options.out is not None:
+        check_place(options.out / record)
         before = _record(options.out / record)
         if differs := _differences(options.out, before, wanted, files):
             raise ValueError(
@@ -51,6 +54,7 @@ def own_folder(
     name = "-".join([usual.name, *words])
     for end in chain(("", f"-{also}"), (f"-{also}-{n}" for n in count(2))):
         folder = usual.with_name(name + end)
+        check_place(folder / record)
         before = _record(folder / record)
         if not _differences(folder, before, wanted, files):
             return folder, before or {}

@@ -145,8 +145,8 @@ def _check_repeats(layer: Layer, chosen: Int[Any, "N"]) -> None:
     if repeats.max(initial=0) > MOST_REPEATS:
         face = chosen[repeats.max(1).argmax()]
         raise ValueError(
-            f"face {face} spans {counted(repeats.max())} repeats of texture {layer.face_images[face]}, but at "
-            f"most {MOST_REPEATS} can be painted; unwrap the mesh again"
+            f"face {face} spans {counted(repeats.max())} repeats of texture {layer.face_images[face]}, but "
+            f"at most {MOST_REPEATS} can be painted; unwrap the mesh again"
         )
 
 

@@ -76,9 +76,7 @@ def look(
     return View(hits, points, light, gloss, size, supersample)
 
 
-def show(
-    view: View, mesh: TexturedMesh, tints: Float32[Any, "F 3 3"] | None = None
-) -> UInt8[Any, "_ _ 3"]:
+def show(view: View, mesh: TexturedMesh, tints: Float32[Any, "F 3 3"] | None = None) -> UInt8[Any, "_ _ 3"]:
     """The picture of a view in the colours of `mesh`, which must have the vertices and faces of the view.
 
     `tints`, at the corners of faces, multiply the colours in linear light.

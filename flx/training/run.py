@@ -20,7 +20,7 @@ from filelock import FileLock, Timeout
 
 from flx import __version__
 from flx.config import Experiment, from_json, with_added
-from flx.files import write_atomically
+from flx.files import check_place, write_atomically
 
 # What each field that may change between calls does to the training; "" for nothing.
 STEERING = {
@@ -63,13 +63,14 @@ class Run:
 def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
     """Create the folder `root/<experiment.name>`, or reopen it for the same experiment and asset.
 
-    Raises ValueError if the name is not a folder name, if the folder belongs to another experiment or asset,
-    if there is a link in it, and while somebody trains there.
+    Raises ValueError if the name is not a folder name, or too long for one, if the folder belongs to another
+    experiment or asset, if there is a link in it, and while somebody trains there.
     """
     name = experiment.name
     if Path(name).name != name or name in ("", ".."):
         raise ValueError(f"{name!r} is not a folder name; give the run a name without slashes with --name")
     run = Run(Path(root) / name)
+    check_place(run.config, "give the run another name with --name")
     _refuse_links(run.folder)
     record = {"flx": __version__, "kind": type(experiment).__name__, "fingerprint": fingerprint}
     record |= {"config": json.loads(json.dumps(asdict(experiment)))}  # as it reads back: tuples are lists

@@ -8,8 +8,8 @@ from helpers.files import MTL, OBJ, at, document, glb, gltf, obj, set_
 from flx.assets.asset import own_painting
 from flx.assets.read import read_asset
 from flx.assets.tints import corner_tints, tinted, tints, tints_in_words
-from flx.geometry.color import linear
 from flx.geometry import render
+from flx.geometry.color import linear
 from flx.pipeline.canvas import side_by_side
 
 FACTOR = [0.5, 0.25, 1.0, 1.0]
@@ -79,7 +79,9 @@ def test_colours_of_vertices_multiply_a_texture_in_pictures_as_in_viewers(tmp_pa
         atol=1,
     )
     sheets = [side_by_side(one, [own_painting(one)], ["same"], "y", 64) for one in (white, asset)]
-    assert sheets[0].mean() > sheets[1].mean() + 1 and np.array_equal(sheets[1][36:100, 12:76], sheets[1][36:100, 88:152])
+    assert sheets[0].mean() > sheets[1].mean() + 1 and np.array_equal(
+        sheets[1][36:100, 12:76], sheets[1][36:100, 88:152]
+    )
 
 
 def test_what_only_some_viewers_multiply_is_told_and_not_shown(tmp_path):
