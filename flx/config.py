@@ -224,7 +224,7 @@ class FLDMExperiment:
     """Train a field-latent diffusion model on one textured mesh."""
 
     name: str = "fldm"  # The run's folder is runs/NAME.
-    surface: Surface = field(default_factory=Surface)  # first, as `--help` has it: what a beginner sets
+    surface: Surface = field(default_factory=Surface)
     train: Train = field(default_factory=Train)
     model: FLDM = field(default_factory=FLDM)
     weights: str | None = None  # An FL-VAE file to use instead of the released one.

@@ -9,7 +9,7 @@
   flx evaluate             a table: how well each method keeps the textures of some meshes
   flx bench                timings of this machine
 
-`flx COMMAND --help` lists its options. Exit status: 0 done, 1 failed on the way, 2 wrong input,
+`flx COMMAND --help` lists its options, of train and sample the first ones, and `--help-all` all. Exit status: 0 done, 1 failed on the way, 2 wrong input,
 130 stopped by Ctrl-C. Errors are one line; `--verbose` adds the traceback.
 """
 
@@ -23,7 +23,7 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
 from flx import __version__
@@ -83,8 +83,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"there is no command {words[0]!r}; use one of {names}", 2)
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     keep_compiled_programs()
+    asked = {"--help", "-h", "--help-all"} & {*words}
+    words = ["--help" if word == "--help-all" else word for word in words]
     try:
-        with ended_by_signals():
+        with ended_by_signals(), short_help(words[0], asked):
             parse(words)()
     except (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError) as error:
         if verbose:
@@ -96,6 +98,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         wrong_input = isinstance(error, ValueError | FileNotFoundError | IsADirectoryError)
         return _complain(" ".join(str(error).split()) or type(error).__name__, 2 if wrong_input else 1)
     return 0
+
+
+@contextlib.contextmanager
+def short_help(verb: str, asked: Collection[str]) -> Iterator[None]:
+    """Where help is asked for, but not all of it, only what a beginner sets is printed.
+
+    Its boxes are known by their frames, which only Unicode has.
+    """
+    from flx.commands.help import FIRST, shortened
+
+    unicode = (sys.stdout.encoding or "").lower().startswith("utf")
+    if not asked or "--help-all" in asked or verb not in FIRST or not unicode:
+        yield
+        return
+    said = io.TextIOWrapper(content := io.BytesIO(), encoding="utf-8", write_through=True)
+    try:
+        with contextlib.redirect_stdout(said):
+            yield
+    finally:
+        print(shortened(verb, content.getvalue().decode()))
 
 
 def lack_of_memory(error: Exception, verb: str) -> str:

@@ -3,9 +3,9 @@
 The number of pixels in the header is checked before anything is decoded. Formats are listed one by one:
 Pillow knows some (EPS) that start other programs.
 
-EXIF data of a photograph may say that it is to be turned. Viewers disagree about that in textures: Blender and
-trimesh take the pixels as they are stored, browsers turn them. Here they are as stored, and `is_turned` tells.
-Only those of a TIFF, whose own tag it is, are turned, by Pillow.
+EXIF data of a photograph may say that it is to be turned. Viewers disagree about that in textures: Blender
+and trimesh take the pixels as they are stored, browsers turn them. Here they are as stored, and `is_turned`
+tells. Only those of a TIFF, whose own tag it is, are turned, by Pillow.
 """
 
 import io
