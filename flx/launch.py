@@ -10,7 +10,8 @@
   flx bench                timings of this machine
 
 `flx COMMAND --help` lists its options, of train and sample the first ones, and `--help-all` all. Exit status:
-0 done, 1 failed on the way, 2 wrong input, 130 stopped by Ctrl-C. Errors are one line; `--verbose` adds the traceback.
+0 done, 1 failed on the way, 2 wrong input, 130 stopped by Ctrl-C. Errors are one line; `--verbose` adds the
+traceback.
 """
 
 import contextlib
