@@ -32,6 +32,7 @@ ADDED = {
     "directions": 0,
     "direction_dropout": 0.1,
     "direction": "",
+    "codes": "means",
 }
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
@@ -122,6 +123,8 @@ class FLDM:
     predicts: Literal["noise", "velocity"] = "noise"  # the paper's; ours for short trainings
     # Steps t that training draws: the paper's; ours, most of them where shapes are decided.
     draws: Literal["uniform", "lognormal"] = "uniform"
+    # What training sees of a one-ring: the mean of the FL-VAE's posterior, or (the paper's) each time a draw.
+    codes: Literal["means", "draws"] = "means"
     emphasis: float = 0.0  # of channels that show: scales are multiplied by (effect on colours)^emphasis
     steps: int = 1000  # T, the steps of the noise schedule; not those of the training.
     beta_start: float = 1e-4  # linear schedule: ᾱ_T = 4e-5

@@ -69,7 +69,7 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     fingerprint = fingerprint_of(asset, codec, surface)
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
-    rules = experiment.model.emphasis, labelled, drawn, workers
+    rules = experiment.model, labelled, drawn, workers
     copies, scaling, home, labels, direction = load_copies(run, asset, surface, codec, *rules)
     keeping(lambda: kept(run))
     source = source_of(run, surface, asset)
@@ -83,7 +83,8 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     def batches(step: int) -> MeshBatch:
         rng = np.random.default_rng([config.seed, step])
         chosen = rng.choice(surface.copies, config.batch, replace=config.batch > surface.copies)
-        tables, latents, *seen = jax.tree.map(lambda a: a[chosen], copies)
+        tables, means, spreads, *seen = jax.tree.map(lambda a: a[chosen], copies)
+        latents = means if spreads is None else drawn_codes(means, spreads, rng)
         times = draw_times(experiment.model, config.seed, step * config.batch, config.batch)
         return MeshBatch(tables, latents, times, *seen)
 
@@ -92,7 +93,7 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
         generator = learnt_generator(experiment, params, *parts)
         save_generator(run.generator, generator)
 
-    tables, latents, numbers, vectors = jax.tree.map(lambda a: a[0], copies)
+    tables, latents, _, numbers, vectors = jax.tree.map(lambda a: a[0], copies)
     seen = conditions_of(experiment.model, numbers, vectors)
     params = jax.jit(network.init)(jax.random.key(config.seed), tables, latents, jnp.float32(1), *seen)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
@@ -128,9 +129,18 @@ def draw_times(model: FLDM, seed: int, first: int, count: int) -> Int32[np.ndarr
     return (1 + np.floor(numbers * model.steps)).astype(np.int32)
 
 
+def drawn_codes(
+    means: Complex64[np.ndarray, "*B D"], spreads: Complex64[np.ndarray, "*B D"], rng: np.random.Generator
+) -> Complex64[np.ndarray, "*B D"]:
+    """z = μ + σ ε: `spreads` are σ of the real part and, as the imaginary part, that of the imaginary one."""
+    ahead, up = rng.standard_normal((2, *means.shape), np.float32)
+    return (means + spreads.real * ahead + 1j * (spreads.imag * up)).astype(np.complex64)
+
+
 Copies = tuple[
     MeshTables,
     Complex64[np.ndarray, "B V D"],
+    Complex64[np.ndarray, "B V D"] | None,
     Int32[np.ndarray, "B V"] | None,
     Complex64[np.ndarray, "B V"] | None,
 ]
@@ -141,25 +151,30 @@ def load_copies(
     asset: Asset,
     surface: Surface,
     codec: Codec,
-    emphasis: float,
+    model: FLDM,
     labelled: LabelMap | None = None,
     direction: Direction | None = None,
     workers: int | None = None,
 ) -> tuple[Copies, Scaling, Home, Labels | None, Complex128[np.ndarray, "V"] | None]:
-    """Tables, scaled latents, labels and directions of all copies of the asset, prepared if need be, and the
-    scaling.
+    """Tables, scaled latents, their spreads where codes are drawn, labels and directions of all copies of the
+    asset, prepared if need be, and the scaling.
 
     The first copy is also returned as it is, with its labels and its direction: the generator samples on it.
     The direction is computed there, and carried to the others.
     """
-    cache = open_cache(run.prepared, asset, surface, codec)
+    cache = open_cache(run.prepared, asset, surface, codec, model.codes == "draws")
     copies = prepare(cache, asset, surface, codec, workers)
     latents = [copy.latents for copy in copies]
     every = np.concatenate(latents)
+    deviations = [copy.deviations for copy in copies if copy.deviations is not None]
+    if deviations:
+        both = np.concatenate(deviations) * np.complex64(1 + 1j)
+        every = drawn_codes(every, both, np.random.default_rng(surface.seed))
     scaling = latent_scaling(every, codec.config.invariants)
-    if emphasis:
+    if model.emphasis:
         effects = codec.effects(every, scaling)
-        scaling = emphasized(scaling, effects, emphasis, codec.config.invariants)
+        scaling = emphasized(scaling, effects, model.emphasis, codec.config.invariants)
+    spreads = np.stack([sigma * scaling.scale for sigma in deviations]) if deviations else None
     scaled = np.stack([scaling.to_diffusion(z) for z in latents])
     home = Home(copies[0].triangulation, copies[0].tables)
     tables = stack([copy.tables for copy in copies])
@@ -171,7 +186,7 @@ def load_copies(
         field = field_on(direction, home.triangulation)
         others = [carried(field, home.triangulation, copy.triangulation) for copy in copies[1:]]
         vectors = np.stack([field, *others]).astype(np.complex64)
-    return (tables, scaled, numbers, vectors), scaling, home, labels, field
+    return (tables, scaled, spreads, numbers, vectors), scaling, home, labels, field
 
 
 def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
@@ -184,7 +199,7 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     labelled = read_labels(labels_in(run, surface), asset) if surface.labels else None
     direction = read_direction(said, asset) if (said := direction_in(run, surface)) else None
     experiment = completed(experiment, codec, labelled, direction)
-    rules = experiment.model.emphasis, labelled, direction
+    rules = experiment.model, labelled, direction
     _, scaling, home, labels, field = load_copies(run, asset, surface, codec, *rules)
     state = restore(run, experiment.train, parameter_shapes(experiment.model, home.tables))
     source = source_of(run, surface, asset)
