@@ -88,7 +88,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = ["--help" if word == "--help-all" else word for word in words]
     try:
         with ended_by_signals(), short_help(words[0], asked):
-            parse(words)()
+            with values_in_one_line():
+                run = parse(words)
+            run()
     except (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError) as error:
         if verbose:
             traceback.print_exc()
@@ -99,6 +101,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         wrong_input = isinstance(error, ValueError | FileNotFoundError | IsADirectoryError)
         return _complain(" ".join(str(error).split()) or type(error).__name__, 2 if wrong_input else 1)
     return 0
+
+
+@contextlib.contextmanager
+def values_in_one_line() -> Iterator[None]:
+    """A value that its option refuses is a ValueError with the option's words, without a frame around them."""
+    encoding = getattr(sys.stderr, "encoding", None) or "utf-8"
+    told = io.TextIOWrapper(content := io.BytesIO(), encoding, "replace", write_through=True)
+    try:
+        with contextlib.redirect_stderr(told):
+            yield
+    except SystemExit:
+        text = content.getvalue().decode(encoding, "replace")
+        words = " ".join(re.sub("[│╭╮╰╯─+|]", " ", text).split())
+        if refused := re.search(r"Error parsing [^ :]+: (.*) For full helptext", words):
+            raise ValueError(refused[1].strip(" -")) from None
+        print(text, end="", file=sys.stderr)
+        raise
+    print(content.getvalue().decode(encoding, "replace"), end="", file=sys.stderr)
 
 
 @contextlib.contextmanager

@@ -252,7 +252,10 @@ def test_a_number_out_of_its_range_is_refused_before_anything_is_made(
 ):
     monkeypatch.chdir(tmp_path)
     said = refusal(["train", SMOKE, "--name", "wrong", field, value], capsys)
-    assert f"{field[2:]} is {value}" in said and not (tmp_path / "runs" / "wrong").exists()
+    assert said.count("\n") == 1 and said.startswith(
+        f"flx: {field[2:] if '.' in field else field} is {value}; give"
+    )
+    assert not (tmp_path / "runs" / "wrong").exists()
 
 
 @pytest.mark.parametrize(

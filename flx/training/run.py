@@ -19,8 +19,10 @@ from typing import Any, get_args
 from filelock import FileLock, Timeout
 
 from flx import __version__
+from flx.assets.formats.files import read_file
 from flx.config import Experiment, from_json, with_added
 from flx.files import check_place, write_atomically
+from flx.pipeline.tensors import one_line
 
 # What each field that may change between calls does to the training; "" for nothing.
 STEERING = {
@@ -173,15 +175,17 @@ def _differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, Any
 def _read(path: Path) -> dict[str, Any]:
     """Read a `config.json` and check its frame: kind, fingerprint, config."""
     try:
-        record = json.loads(path.read_bytes())
+        record = json.loads(read_file(path))
         known = record["kind"] in _KINDS and isinstance(record["fingerprint"], str)
         if not known or not isinstance(record["config"], dict):
             raise KeyError("kind, fingerprint or config")
         if "flx" not in record and record["kind"] == "FLDMExperiment":
             record["config"]["model"] |= {"latents": None, "invariants": None}  # they were not the codec's
         record["config"] = with_added(_KINDS[record["kind"]], record["config"])
-    except (ValueError, KeyError, TypeError) as error:
-        message = f"{path} does not record a run ({error}); restore it, or train under another --name"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        message = (
+            f"{path} does not record a run ({one_line(error)}); restore it, or train under another --name"
+        )
         raise ValueError(message) from None
     return record
 
