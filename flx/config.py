@@ -137,6 +137,9 @@ class FLDM:
         for name in ("label_dropout", "direction_dropout"):
             if getattr(self, name) > 1:
                 raise ValueError(f"model.{name} is {getattr(self, name)}; give a probability, 0 to 1")
+        for name in ("beta_start", "beta_end"):
+            if getattr(self, name) >= 1:
+                raise ValueError(f"model.{name} is {getattr(self, name)}; give less than 1, a share of noise")
         if self.embedding % 2:
             raise ValueError(f"model.embedding is {self.embedding}; make it even, for cosines and sines")
         if self.blocks is not None and not _are_blocks(self.blocks):

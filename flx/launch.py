@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextlib.contextmanager
 def values_in_one_line() -> Iterator[None]:
-    """A value that its option refuses is a ValueError with the option's words, without a frame around them."""
+    """A value that its option refuses is a ValueError in the option's words, without a frame around it."""
     encoding = getattr(sys.stderr, "encoding", None) or "utf-8"
     told = io.TextIOWrapper(content := io.BytesIO(), encoding, "replace", write_through=True)
     try:

@@ -38,6 +38,9 @@ def load_tensors(path: Path, key: str) -> tuple[str, Tensors]:
     digest, _, text = entry.partition(" ")
     if digest != content_digest(tensors, text):
         raise ValueError("its content is not what was written")
+    for name, tensor in tensors.items():
+        if tensor.dtype.kind in "fc" and not np.isfinite(tensor).all():
+            raise ValueError(f"{name} is not finite")
     return text, tensors
 
 
