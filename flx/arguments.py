@@ -28,6 +28,11 @@ def whole(name: str, value: object, least: int = 0) -> int:
     return number
 
 
+def counted(value: float | int) -> str:
+    """A count in digits; one of more than nine digits as a power of ten."""
+    return f"{value:,.0f}" if value < 1e9 else f"{value:.0e}"
+
+
 def number(name: str, value: object, least: float | int = -math.inf) -> float:
     """The argument as a float. Raises ValueError where it is not a finite number, or less than `least`."""
     wanted = "a number" if least == -math.inf else f"a number of at least {least:g}"

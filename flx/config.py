@@ -33,6 +33,7 @@ ADDED = {
     "direction_dropout": 0.1,
     "direction": "",
     "fill": None,
+    "codes": "means",
 }
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
@@ -61,7 +62,7 @@ def check_all(part: str, values: object, **least: int | float) -> None:
 
 def _are_blocks(values: object) -> bool:
     counts = values if isinstance(values, tuple) else ()
-    return len(counts) == 3 and all(isinstance(n, int) and 0 <= n <= MOST_LAYERS for n in counts)
+    return len(counts) == 3 and all(isinstance(n, int) and 1 <= n <= MOST_LAYERS for n in counts)
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,8 @@ class FLDM:
     predicts: Literal["noise", "velocity"] = "noise"  # the paper's; ours for short trainings
     # Steps t that training draws: the paper's; ours, most of them where shapes are decided.
     draws: Literal["uniform", "lognormal"] = "uniform"
+    # What training sees of a one-ring: the mean of the FL-VAE's posterior, or (the paper's) each time a draw.
+    codes: Literal["means", "draws"] = "means"
     emphasis: float = 0.0  # of channels that show: scales are multiplied by (effect on colours)^emphasis
     steps: int = 1000  # T, the steps of the noise schedule; not those of the training.
     beta_start: float = 1e-4  # linear schedule: ᾱ_T = 4e-5
@@ -135,10 +138,13 @@ class FLDM:
         for name in ("label_dropout", "direction_dropout"):
             if getattr(self, name) > 1:
                 raise ValueError(f"model.{name} is {getattr(self, name)}; give a probability, 0 to 1")
+        for name in ("beta_start", "beta_end"):
+            if getattr(self, name) >= 1:
+                raise ValueError(f"model.{name} is {getattr(self, name)}; give less than 1, a share of noise")
         if self.embedding % 2:
             raise ValueError(f"model.embedding is {self.embedding}; make it even, for cosines and sines")
         if self.blocks is not None and not _are_blocks(self.blocks):
-            raise ValueError(f"model.blocks is {self.blocks!r}; give three numbers of 0 to {MOST_LAYERS}")
+            raise ValueError(f"model.blocks is {self.blocks!r}; give three numbers of 1 to {MOST_LAYERS}")
 
     @property
     def code_channels(self) -> tuple[int, int]:
@@ -226,7 +232,7 @@ class FLDMExperiment:
     """Train a field-latent diffusion model on one textured mesh."""
 
     name: str = "fldm"  # The run's folder is runs/NAME.
-    surface: Surface = field(default_factory=Surface)  # first, as `--help` has it: what a beginner sets
+    surface: Surface = field(default_factory=Surface)
     train: Train = field(default_factory=Train)
     model: FLDM = field(default_factory=FLDM)
     weights: str | None = None  # An FL-VAE file to use instead of the released one.
@@ -240,7 +246,9 @@ class Comparison:
     """What `flx evaluate --reconstruction` measures."""
 
     reconstruction: tuple[str, ...] = ()  # textures to send: MESH, MESH:TEXTURE, or an image as a sheet
-    out: Path | None = None  # folder to write to; RUN/evaluation unless given, or `evaluation`
+    out: Path | None = (
+        None  # folder to write to; RUN/evaluation unless given, or `evaluation` (and what is not as usual)
+    )
     vertices: tuple[int, ...] = (30_000, 5_000)  # of the triangulations; one row each
     methods: tuple[Compared, ...] = get_args(Compared)  # which methods to measure
     images: Path | None = None  # folder of images to fit pca and frame_pca to; skipped without it

@@ -21,7 +21,7 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _clear_torn(path.parent)
-    torn = path.with_name(f"{TORN}{os.getpid()}.{path.name}")
+    torn = path.with_name(f"{TORN}{os.getpid()}.{path.name[-50:]}")  # a name has at most 255 bytes
     _leftovers.add(torn)
     try:
         with naming_a_full_disk(path):
@@ -35,6 +35,30 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None
     finally:
         torn.unlink(missing_ok=True)
         _leftovers.discard(torn)
+
+
+def check_place(path: Path, remedy: str = "name another folder with --out") -> None:
+    """Raises ValueError where no file can be written at `path`, with what is in the way. Makes nothing."""
+    try:
+        _is_there(path)  # is it a name at all?
+        place = next(folder for folder in path.absolute().parents if _is_there(folder))
+    except OSError as fault:
+        raise ValueError(f"{str(path)[:60]}… is no place for a file ({fault.strerror}); {remedy}") from fault
+    if not place.exists():
+        raise ValueError(f"{place} is a link that leads nowhere; {remedy}")
+    if not place.is_dir():
+        raise ValueError(f"{place} is a file; {remedy}")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ValueError(f"{place} is not writable; {remedy}")
+
+
+def _is_there(path: Path) -> bool:
+    """Whether there is anything, if only a link."""
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
 
 
 def temporary_folder() -> tempfile.TemporaryDirectory[str]:

@@ -10,8 +10,9 @@
   flx evaluate             a table: how well each method keeps the textures of some meshes
   flx bench                timings of this machine
 
-`flx COMMAND --help` lists its options. Exit status: 0 done, 1 failed on the way, 2 wrong input,
-130 stopped by Ctrl-C. Errors are one line; `--verbose` adds the traceback.
+`flx COMMAND --help` lists its options, of train and sample the first ones, and `--help-all` all. Exit status:
+0 done, 1 failed on the way, 2 wrong input, 130 stopped by Ctrl-C. Errors are one line; `--verbose` adds the
+traceback.
 """
 
 import contextlib
@@ -19,11 +20,12 @@ import hashlib
 import io
 import os
 import platform
+import re
 import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
 from flx import __version__
@@ -31,6 +33,12 @@ from flx.stopping import ended_by_signals
 
 COMMANDS = ("doctor", "watch", "sample", "labels", "paint", "reconstruct", "evaluate", "bench")  # and train
 ALLOCATOR = {"hugetlb": 1, "mmap_threshold": 2**33, "trim_threshold": 2**34}  # thresholds in bytes
+LESS = {  # what of a command takes less memory
+    "train": "use fewer --surface.vertices, --model.channels or a smaller --train.batch",
+    "sample": "use a smaller --texture-size or a larger --scale",
+    "reconstruct": "use fewer --vertices or a smaller --texture-size",
+    "evaluate": "use a smaller --texture-size or a smaller --count",
+}
 PROGRAM_BYTES = 2**29  # kept of compiled programs; the least recently used go first
 
 
@@ -78,15 +86,76 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"there is no command {words[0]!r}; use one of {names}", 2)
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     keep_compiled_programs()
+    asked = {"--help", "-h", "--help-all"} & {*words}
+    words = ["--help" if word == "--help-all" else word for word in words]
     try:
-        with ended_by_signals():
-            parse(words)()
-    except (ValueError, OSError, FloatingPointError, MemoryError) as error:
+        with ended_by_signals(), short_help(words[0], asked):
+            with values_in_one_line():
+                run = parse(words)
+            run()
+    except (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError) as error:
         if verbose:
             traceback.print_exc()
+        if lacking := lack_of_memory(error, words[0]):
+            return _complain(lacking, 1)
+        if isinstance(error, RuntimeError):  # a fault of flx itself
+            raise
         wrong_input = isinstance(error, ValueError | FileNotFoundError | IsADirectoryError)
         return _complain(" ".join(str(error).split()) or type(error).__name__, 2 if wrong_input else 1)
     return 0
+
+
+@contextlib.contextmanager
+def values_in_one_line() -> Iterator[None]:
+    """A value that its option refuses is a ValueError in the option's words, without a frame around it."""
+    encoding = getattr(sys.stderr, "encoding", None) or "utf-8"
+    told = io.TextIOWrapper(content := io.BytesIO(), encoding, "replace", write_through=True)
+    try:
+        with contextlib.redirect_stderr(told):
+            yield
+    except SystemExit:
+        text = content.getvalue().decode(encoding, "replace")
+        words = " ".join(re.sub("[│╭╮╰╯─+|]", " ", text).split())
+        if refused := re.search(r"Error parsing [^ :]+: (.*) For full helptext", words):
+            raise ValueError(refused[1].strip(" -")) from None
+        print(text, end="", file=sys.stderr)
+        raise
+    print(content.getvalue().decode(encoding, "replace"), end="", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def short_help(verb: str, asked: Collection[str]) -> Iterator[None]:
+    """Where help is asked for, but not all of it, only what a beginner sets is printed.
+
+    Its boxes are known by their frames, which only Unicode has.
+    """
+    from flx.commands.help import FIRST, shortened
+
+    unicode = (sys.stdout.encoding or "").lower().startswith("utf")
+    if not asked or "--help-all" in asked or verb not in FIRST or not unicode:
+        yield
+        return
+    said = io.TextIOWrapper(content := io.BytesIO(), encoding="utf-8", write_through=True)
+    try:
+        with contextlib.redirect_stdout(said):
+            yield
+    finally:
+        print(shortened(verb, content.getvalue().decode()))
+
+
+def lack_of_memory(error: Exception, verb: str) -> str:
+    """What there was no memory for, and what takes less; "" for any other error, and for one that says it.
+
+    JAX raises a RuntimeError of its own for that, on CPUs and on GPUs.
+    """
+    said = " ".join(str(error).split())
+    of_jax = isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in said
+    if not of_jax and not (isinstance(error, MemoryError) and ";" not in said):
+        return ""
+    sizes = re.search(r"(?:allocat\w+|allocate) ([\d.,]+ ?[KMGTPE]?i?[Bb](?:ytes)?)", said)
+    what = f" for {sizes[1]}" if sizes else ""
+    less = LESS.get(verb, "close other programs, or take a larger machine")
+    return f"there is not enough memory{what}; {less}"
 
 
 def command() -> int:

@@ -144,7 +144,7 @@ def test_every_name_of_the_python_api_exists():
 )
 def test_every_option_is_documented(words, capsys):
     with pytest.raises(SystemExit):
-        main([*words, "--help"])
+        main([*words, "--help-all"])
     options = set(OPTION.findall(capsys.readouterr().out)) - {"--help"}
     text = (ROOT / "docs" / "cli.md").read_text()
     section = next(part for part in text.split("\n## ") if part.startswith(f"flx {words[0]}\n"))

@@ -66,7 +66,8 @@ def test_released_weights_are_of_the_experiment_of_their_name(name):
         (lambda: FLDM(embedding=2), "model.embedding is 2; give at least 4"),  # 2 and 3 gave NaN
         (lambda: FLDM(embedding=3), "model.embedding is 3; give at least 4"),
         (lambda: FLDM(embedding=9), "model.embedding is 9; make it even"),
-        (lambda: FLDM(blocks=(-1, 0, 1_000_000)), "model.blocks is .* 0 to 100"),
+        (lambda: FLDM(blocks=(-1, 1, 1_000_000)), "model.blocks is .* 1 to 100"),
+        (lambda: FLDM(blocks=(1, 0, 1)), r"model.blocks is \(1, 0, 1\); give three numbers of 1 to 100"),
         (lambda: FLVAE(depth=100_000), "model.depth is 100000; give at most 100"),
         (lambda: FLVAE(width=1 << 30), "model.width is 1073741824; give at most 1,048,576"),
     ],

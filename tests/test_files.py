@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from flx.files import write_atomically
+from flx.files import check_place, write_atomically
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path):
@@ -54,3 +54,29 @@ def test_a_full_disk_is_said_with_the_file_and_what_to_do(tmp_path, number):
     with pytest.raises(OSError, match=r"disk is full: .*a\.npz was not written; make room") as error:
         write_atomically(tmp_path / "a.npz", full)
     assert error.value.errno == number and not list(tmp_path.iterdir())
+
+
+def test_the_longest_name_can_be_written(tmp_path):
+    path = tmp_path / ("ä" * 125 + ".json")
+    write_atomically(path, lambda torn: torn.write_bytes(torn.suffix.encode()))
+    assert path.read_bytes() == b".json"
+
+
+def test_what_stands_in_the_way_of_a_file_is_named_before_it_is_written(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "nowhere").symlink_to("else")
+    (tmp_path / "itself").symlink_to("itself")
+    (tmp_path / "there").symlink_to(tmp_path)
+    for place, fault in {
+        "file/a.glb": "file is a file; go",
+        "file/in/a.glb": "file is a file; go",
+        "nowhere/a.glb": "nowhere is a link that leads nowhere; go",
+        "itself/a.glb": "Too many levels of symbolic links",
+        f"{'x' * 256}/a.glb": r"… is no place for a file \(File name too long\); go",
+        f"{'x/' * 4000}a.glb": r"… is no place for a file \(File name too long\); go",
+    }.items():
+        with pytest.raises(ValueError, match=fault):
+            check_place(tmp_path / place, "go")
+    for place in ("new/folder/a.glb", "there/a.glb", "nowhere", "x" * 255):
+        check_place(tmp_path / place)
+    assert len([*tmp_path.iterdir()]) == 4, "it makes nothing"

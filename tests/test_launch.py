@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -53,6 +54,30 @@ def test_a_name_that_the_output_cannot_spell_is_no_error(tmp_path):
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "kula \\u65e5\\u672c.obj" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("verb", "work", "said"),
+    [
+        ("train", lambda: jnp.zeros(1 << 47), "for 562949953421312 bytes; use fewer --surface.vertices"),
+        ("sample", lambda: np.zeros(1 << 57), "for 1.00 EiB; use a smaller --texture-size"),
+        ("bench", lambda: 1 * [0] * (1 << 60), "; close other programs"),
+    ],
+)
+def test_a_lack_of_memory_is_one_line_with_what_takes_less(monkeypatch, capsys, verb, work, said):
+    monkeypatch.setattr("flx.launch.parse", lambda _: work)
+    assert main([verb]) == 1
+    line = capsys.readouterr().err
+    assert line.startswith("flx: there is not enough memory") and said in line and line.count("\n") == 1
+
+
+def test_a_fault_of_flx_itself_keeps_its_traceback(monkeypatch):
+    def faulty() -> None:
+        raise RuntimeError("not foreseen")
+
+    monkeypatch.setattr("flx.launch.parse", lambda _: faulty)
+    with pytest.raises(RuntimeError, match="not foreseen"):
+        main(["bench"])
 
 
 @pytest.fixture(scope="module")
@@ -230,7 +255,9 @@ def test_a_number_out_of_its_range_is_refused_before_anything_is_made(
 ):
     monkeypatch.chdir(tmp_path)
     said = refusal(["train", SMOKE, "--name", "wrong", field, value], capsys)
-    assert f"{field[2:]} is {value}" in said and not (tmp_path / "runs" / "wrong").exists()
+    place = field[2:] if "." in field else field
+    assert said.count("\n") == 1 and said.startswith(f"flx: {place} is {value}") and "; give" in said
+    assert not (tmp_path / "runs" / "wrong").exists()
 
 
 @pytest.mark.parametrize(

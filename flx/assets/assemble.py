@@ -17,9 +17,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt
 
+from flx.arguments import counted
 from flx.assets.asset import Asset, Report, Texture
 from flx.assets.formats.files import BadFile, is_absolute, quoted, read_file
-from flx.assets.formats.images import check_together, decode_image, decode_map, original_kind, split_alpha
+from flx.assets.formats.images import (
+    check_together,
+    decode_image,
+    decode_map,
+    is_turned,
+    original_kind,
+    split_alpha,
+)
 from flx.assets.formats.parts import Material, Paint, Part, stacked
 from flx.assets.formats.readers import Contents, Picture
 from flx.geometry.arrays import face_areas, mark
@@ -187,15 +195,16 @@ def _decoded(
         raise ValueError(f"no texture and no vertex colours ({contents.hint}); pass {here}")
     names, images, textures = list(dict.fromkeys(wanted.values())), [], []
     for name in names:
-        content, kind = encoded[name], ""
+        content, kind, turned = encoded[name], "", False
         if not isinstance(content, bytes):
             image, alpha = split_alpha(content)
         elif slot == "base_color":
             (image, alpha), kind = decode_image(content, name), original_kind(content, name)
+            turned = is_turned(content, name)
         else:
             image, alpha = decode_map(content, name)
         images.append(image)
-        textures.append(Texture(name, alpha, flat=False, made_from=kind))
+        textures.append(Texture(name, alpha, flat=False, made_from=kind, turned=turned))
     image_of = {m: names.index(name) for m, name in wanted.items()}
     for material in (m for m in contents.used if m not in wanted):
         image_of[material] = len(images)
@@ -256,7 +265,7 @@ def _check_measures(mesh: TexturedMesh) -> None:
         raise ValueError("every face has zero area; export it again, or scale it up")
     tiles = max(np.abs(uv_areas(mesh, slot)).sum() for slot in mesh.maps)
     if tiles > MOST_TILES:
-        times = f"{tiles:.0f} times, more than {MOST_TILES:.0f}"
+        times = f"{counted(tiles)} times, more than {MOST_TILES:.0f}"
         raise ValueError(f"the surface covers its textures {times}; unwrap it anew")
 
 
@@ -306,4 +315,4 @@ def _report(
 
 def _in_words(texture: Texture, image: UInt[Any, "H W 3"]) -> str:
     was = " (flat)" if texture.flat else f", made from {texture.made_from}" * bool(texture.made_from)
-    return f"{texture.name}: {image.shape[1]} × {image.shape[0]}{was}"
+    return f"{texture.name}: {image.shape[1]} × {image.shape[0]}{was}{', EXIF turns it' * texture.turned}"

@@ -21,6 +21,7 @@ class Texture(NamedTuple):
     alpha: UInt8[Any, "H W"] | None
     flat: bool  # made from a material's colour: never replaced
     made_from: str = ""  # its original kind, unless 8-bit RGB: "16-bit grey"
+    turned: bool = False  # EXIF data say so, which browsers do and flx does not: see formats/images.py
 
 
 class Report(NamedTuple):

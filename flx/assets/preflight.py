@@ -5,7 +5,6 @@ meaning: node transforms are applied, and opacity and smoothness are kept.
 """
 
 import json
-import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from flx.assets.formats.mtl import properties
 from flx.assets.formats.obj_source import ObjSource
 from flx.assets.formats.ply import ASCII
 from flx.assets.write import atlas_files, check_room, other_files
+from flx.files import check_place
 
 MOST = 12  # names listed of one kind
 APPLIED = {"KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp"}
@@ -31,12 +31,8 @@ def check_output(asset: Asset, format: Format, paths: Sequence[Path], beside: Se
     Raises ValueError for a PLY (vertex colours only) of an asset with textures, where files of the asset
     would be overwritten, and where the folder cannot be made or written to.
     """
-    for folder in {path.parent for path in paths}:
-        existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-        if not existing.is_dir():
-            raise ValueError(f"{existing} is a file; name a folder with --out")
-        if not os.access(existing, os.W_OK | os.X_OK):
-            raise ValueError(f"{existing} is not writable; name another folder with --out")
+    for path in paths:
+        check_place(path)
     if format == "ply" and asset.textures:
         raise ValueError(f"{asset.path} has textures, a PLY only vertex colours; use --format glb or obj")
     for path in paths:

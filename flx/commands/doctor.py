@@ -14,9 +14,10 @@ from tyro.conf import Positional
 from flx.assets.assemble import faults_of
 from flx.assets.asset import Asset, Report
 from flx.assets.detail import Detail, detail, psnr_at, vertices_for
+from flx.assets.formats.files import quoted
 from flx.assets.inspect import coverage, inside_out_components, ring_pixels, texel_counts
 from flx.assets.read import read_asset
-from flx.assets.tints import tints
+from flx.assets.tints import tints_in_words
 from flx.config import FLVAE, FLDMExperiment, quick, read_config
 from flx.geometry.atlas import check_repeats, uv_areas
 from flx.geometry.copies import check_memory
@@ -109,6 +110,7 @@ def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
     plan = costs_of(experiment)
     warnings = (
         *_warnings(asset.report, experiment.surface.vertices, pixels, overlapping, inside_out),
+        *_turned(asset),
         *_losses(lost, experiment.surface.vertices),
         *_shortages(plan),
     )
@@ -121,7 +123,7 @@ def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
         kept_psnr=round(psnr_at(lost, experiment.surface.vertices), 1) if lost else None,
         enough_vertices=_enough(lost) if lost else None,
         kept_maps=tuple(slot.replace("_", " ") for slot in SLOTS if asset.map_names.get(slot)),
-        tints=tuple(f"{tint.name} × {' '.join(f'{x:g}' for x in tint.factor)}" for tint in tints(asset)),
+        tints=tuple(tints_in_words(asset)),
         plan=plan,
         warnings=warnings,
         verdict=_verdict(asset.report, len(warnings)),
@@ -160,6 +162,16 @@ def _enough(lost: Detail) -> int:
 
 def _kinds(report: Report) -> str:
     return f"{report.materials:,} materials" if report.materials > 1 else f"{report.parts:,} parts"
+
+
+def _turned(asset: Asset) -> list[str]:
+    """Images that some programs turn."""
+    names = [texture.name for texture in asset.textures if texture.turned]
+    return [
+        f"EXIF data turn {quoted(name)}: browsers do so, flx and Blender take it as it is stored; save it "
+        "anew, as it should lie"
+        for name in names
+    ]
 
 
 def _losses(lost: Detail, vertices: int) -> list[str]:

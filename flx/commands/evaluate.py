@@ -1,17 +1,23 @@
 """`flx evaluate`: how good samples are, or how well each method keeps the textures of some meshes."""
 
+import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 from tyro.conf import Positional
 
+from flx.commands.output import own_folder, settings
 from flx.commands.stages import Stages
 from flx.config import STEPS, Comparison, Sampler
 from flx.controls import Controls, Patches
 from flx.types import TexturedMesh
+
+JUDGED = ("texture_size", "seed")  # the fields of a comparison that samples are judged by, too
+# Options that what is judged does not depend on, or that are recorded otherwise.
+APART = ("source", "instant", *(f.name for f in fields(Comparison) if f.name not in JUDGED))
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,7 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     from flx.files import write_atomically
     from flx.geometry.render import contact_sheet, render
     from flx.pipeline.canvas import VIEWS, check_size, shown
+    from flx.pipeline.codec import digest_of
     from flx.pipeline.instant import patch_generator, patchworks
     from flx.pipeline.layout import asked_labels, run_guides
     from flx.pipeline.transfer import LEAST
@@ -80,19 +87,30 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         raise ValueError("two files of --samples have the same name; rename one: rows are named after files")
     stage = Stages(2 if options.samples else 3)
     samples = {path.stem: read_asset(path).mesh for path in options.samples}
-    generator, folder = None, Path("evaluation")
+    generator, home = None, Path()
     if source and (source.is_dir() or source.suffix == ".safetensors"):
         generator = load_generator(source)
         asset, up = generator.asset, generator.experiment.surface.up
-        folder = (source if source.is_dir() else source.parent) / "evaluation"
-        if not samples:
-            others["codec"] = shown(asset, reconstruct(generator, size))
+        home = source if source.is_dir() else source.parent
     elif not (samples or options.instant):
         raise ValueError(
             f"{source} is a mesh; name the meshes to judge after --samples, add --instant, or give a run"
         )
     else:
         asset = read_asset(source) if source else vase_asset()
+    made_by = {
+        **settings(options, APART),
+        "instant": options.instant,
+        "invention": None if options.instant else Controls(invention=options.invention).invented,
+        "asset": asset.digest[:12],
+        "generator": digest_of(generator.params)[:12] if generator else None,
+        "digests": [hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in options.samples],
+    }
+    usual = home / ("evaluation-instant" if options.instant else "evaluation")
+    also = f"step-{generator.step}" if generator else asset.digest[:8]
+    out, _ = own_folder(options, usual, also, "evaluation.json", made_by, ["evaluation.html"], APART)
+    if generator and not samples:
+        others["codec"] = shown(asset, reconstruct(generator, size))
     count = max(len(generator.home.triangulation.vertices), LEAST) if generator else Patches().vertices
     patches = Patches(vertices=count, input_labels=options.input_labels)
 
@@ -124,21 +142,12 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         rows["without labels"] = {"labels_1": float(np.mean([shares.pop(name) for name in free]))}
         for name, share in shares.items():
             rows[name]["labels_1"] = share
-    out, meshes = options.out or folder, {"input": asset.mesh, **samples, **others}
+    meshes = {"input": asset.mesh, **samples, **others}
     stage(f"picturing them, to {out}")
     views = [
         [render(mesh, azimuth=a, elevation=e, size=256, up=up) for mesh in meshes.values()] for a, e in VIEWS
     ]
-    record = {
-        "source": str(source or "the vase of flx"),
-        "instant": options.instant,
-        "labels": options.labels and str(options.labels),
-        "invention": None if options.instant else Controls(invention=options.invention).invented,
-        "seed": options.seed,
-        "sampler": options.sampler,
-        "steps": options.steps,
-        "rows": rows,
-    }
+    record = {"source": str(source or "the vase of flx"), **made_by, "rows": rows}
     write_atomically(out / "evaluation.json", (json.dumps(record, indent=2) + "\n").encode())
     sheet = contact_sheet(views, list(meshes))
     write_atomically(

@@ -1,5 +1,6 @@
 """`flx labels`: a proposal for labels, from the colours of a texture."""
 
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,7 @@ def propose(options: ProposeLabels) -> Path:
     """
     from flx.assets.read import read_asset
     from flx.assets.write import write_png
+    from flx.files import check_place
     from flx.geometry.atlas import fill_gutter
     from flx.geometry.regions import PALETTE, regions
     from flx.pipeline.canvas import check_size, open_canvas
@@ -45,7 +47,8 @@ def propose(options: ProposeLabels) -> Path:
         raise ValueError(f"--colors is {options.colors}; give 2 to {len(PALETTE)}")
     if options.out.suffix.lower() != ".png":
         raise ValueError(f"--out is {options.out}; name a .png, which keeps flat colours flat")
-    if options.out.exists():
+    check_place(options.out, "name another file with --out")
+    if os.path.lexists(options.out):
         raise ValueError(f"{options.out} is there already; name another file with --out")
     asset = read_asset(options.mesh, options.texture)
     flat = sum(texture.flat for texture in asset.textures)

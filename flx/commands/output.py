@@ -6,22 +6,30 @@ gets a folder of its own, named after the options that are not the usual ones.
 
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import MISSING, fields, is_dataclass
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from flx.files import check_place
+
 APART = ("run", "out", "count", "up", "viewer", "instant")  # options on which no mesh that is written depends
 
 
-def settings(options: Any) -> dict[str, Any]:
+def settings(options: Any, apart: Collection[str] = APART) -> dict[str, Any]:
     """The options that the files of a call depend on, as JSON holds them; not its input, which has none."""
-    return {name: value for name, value, _ in _set(options)}
+    return {name: value for name, value, _ in _set(options, apart)}
 
 
 def own_folder(
-    options: Any, usual: Path, also: str, record: str, wanted: dict[str, Any], files: Iterable[str]
+    options: Any,
+    usual: Path,
+    also: str,
+    record: str,
+    wanted: dict[str, Any],
+    files: Iterable[str],
+    apart: Collection[str] = APART,
 ) -> tuple[Path, dict[str, Any]]:
     """The folder of a call, and what its record says so far ({} for a new folder).
 
@@ -29,10 +37,11 @@ def own_folder(
     its name; where that holds the files of another call, also `also`; then a number.
 
     A folder is that of another call if its record differs from `wanted`, or if it has no record but some of
-    the `files`. Raises ValueError where `options.out` is.
+    the `files`. Raises ValueError where `options.out` is, and where no folder can be made.
     """
     files = list(files)
     if options.out is not None:
+        check_place(options.out / record)
         before = _record(options.out / record)
         if differs := _differences(options.out, before, wanted, files):
             raise ValueError(
@@ -40,24 +49,25 @@ def own_folder(
                 "--out, or leave it out for one of its own"
             )
         return options.out, before or {}
-    odd = [(name, value) for name, value, default in _set(options) if value != default]
+    odd = [(name, value) for name, value, default in _set(options, apart) if value != default]
     words = [f"{name}-{_word(value)}".replace("_", "-") for name, value in odd]
     name = "-".join([usual.name, *words])
     for end in chain(("", f"-{also}"), (f"-{also}-{n}" for n in count(2))):
         folder = usual.with_name(name + end)
+        check_place(folder / record)
         before = _record(folder / record)
         if not _differences(folder, before, wanted, files):
             return folder, before or {}
     raise AssertionError
 
 
-def _set(options: Any) -> Iterator[tuple[str, Any, Any]]:
-    """The name, value and default of each option, also of those that are grouped."""
+def _set(options: Any, apart: Collection[str]) -> Iterator[tuple[str, Any, Any]]:
+    """The name, value and default of each option, also of those that are grouped; not of those `apart`."""
     for f in fields(options):
         value = getattr(options, f.name)
         if is_dataclass(value):
-            yield from _set(value)
-        elif f.default is not MISSING and f.name not in APART:
+            yield from _set(value, apart)
+        elif f.default is not MISSING and f.name not in apart:
             yield f.name, _plain(value), _plain(f.default)
 
 

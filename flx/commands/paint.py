@@ -1,5 +1,6 @@
 """`flx paint`: labels, masks and directions, painted on the surface in a browser."""
 
+import os
 import sys
 import threading
 import webbrowser
@@ -73,6 +74,7 @@ def paint(options: Paint) -> None:
 
 def opened(options: Paint) -> "Painter":
     """The painter that options ask for. Raises ValueError, in one line, for what cannot be painted."""
+    from flx.files import check_place
     from flx.pipeline.canvas import atlas_size, check_size
     from flx.viewer.painter import StrokePainter, TexelPainter
 
@@ -80,9 +82,12 @@ def opened(options: Paint) -> "Painter":
     out = options.out or Path(USUAL[mode])
     if out.suffix.lower() != Path(USUAL[mode]).suffix:
         raise ValueError(f"--out is {out}; name a {Path(USUAL[mode]).suffix} file")
+    check_place(out, "name another file with --out")
     if out.is_dir():
         raise ValueError(f"--out is the folder {out}; name a file")
-    if out.exists() and not (options.start and options.start.exists() and out.samefile(options.start)):
+    if os.path.lexists(out) and not (
+        options.start and options.start.exists() and out.samefile(options.start)
+    ):
         raise ValueError(
             f"{out} is there already; go on with it by --start {out}, or name another with --out"
         )

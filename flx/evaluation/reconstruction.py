@@ -27,7 +27,7 @@ from flx.evaluation.baselines import Method, Subject
 from flx.evaluation.fidelity import fidelity
 from flx.evaluation.lpips import HINT, installed_judges
 from flx.evaluation.neural_field import intrinsic_field
-from flx.files import write_atomically
+from flx.files import check_place, write_atomically
 from flx.geometry.atlas import with_filled_gutters
 from flx.geometry.copies import check_memory, sample_rings
 from flx.geometry.remesh.remesh import remesh
@@ -53,6 +53,7 @@ def reconstruction_table(options: Comparison) -> list[Row]:
     Raises ValueError where there is no mesh, a mesh cannot be read, or a method is unknown.
     """
     out, methods = options.out or Path("evaluation"), list(options.methods)
+    check_place(out / "table.json")
     if not options.reconstruction or not options.vertices:
         raise ValueError("there is nothing to evaluate; name meshes after --reconstruction")
     if unknown := [name for name in methods if name not in METHODS]:

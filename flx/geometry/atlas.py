@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt
 from numpy.typing import DTypeLike
 from scipy.ndimage import distance_transform_edt
 
+from flx.arguments import counted
 from flx.geometry.arrays import chunks, dot
 from flx.geometry.color import quantized
 from flx.geometry.raster import CHUNK, Pixels, Planes, barycentric_planes, expand, pixels_inside
@@ -144,8 +145,8 @@ def _check_repeats(layer: Layer, chosen: Int[Any, "N"]) -> None:
     if repeats.max(initial=0) > MOST_REPEATS:
         face = chosen[repeats.max(1).argmax()]
         raise ValueError(
-            f"face {face} spans {repeats.max():,.0f} repeats of texture {layer.face_images[face]}, but at "
-            f"most {MOST_REPEATS} can be painted; unwrap the mesh again"
+            f"face {face} spans {counted(repeats.max())} repeats of texture {layer.face_images[face]}, but "
+            f"at most {MOST_REPEATS} can be painted; unwrap the mesh again"
         )
 
 

@@ -76,10 +76,15 @@ def look(
     return View(hits, points, light, gloss, size, supersample)
 
 
-def show(view: View, mesh: TexturedMesh) -> UInt8[Any, "_ _ 3"]:
-    """The picture of a view in the colours of `mesh`, which must have the vertices and faces of the view."""
+def show(view: View, mesh: TexturedMesh, tints: Float32[Any, "F 3 3"] | None = None) -> UInt8[Any, "_ _ 3"]:
+    """The picture of a view in the colours of `mesh`, which must have the vertices and faces of the view.
+
+    `tints`, at the corners of faces, multiply the colours in linear light.
+    """
     size, n = view.size, view.supersample
     colors = LINEAR[_steps(surface_colors(mesh, view.points))]
+    if tints is not None:
+        colors = colors * np.einsum("pkc,pk->pc", tints[view.points.faces], view.points.barycentrics)
     picture = np.full(((size * n) ** 2, 3), LINEAR[round(BACKGROUND * STEPS)], np.float32)
     picture[view.rays] = colors * view.light[:, None] + view.gloss[:, None]
     rays = picture.reshape(size, n, size, n, 3)

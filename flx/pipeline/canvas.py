@@ -10,7 +10,7 @@ from PIL import Image
 from flx.arguments import briefly, check_kind, check_word, whole
 from flx.assets.asset import Asset, Painting, check_asset, check_painting, own_painting
 from flx.assets.formats.files import limit
-from flx.assets.tints import tinted
+from flx.assets.tints import corner_tints, tinted
 from flx.geometry import render
 from flx.geometry.atlas import Atlas, atlas_texels, fill_gutter
 from flx.geometry.color import eight_bits, quantized, resized
@@ -218,9 +218,11 @@ def side_by_side(
     """
     meshes, own = [tinted(asset, shown(asset, painting)) for painting in paintings], own or asset
     before, rows = tinted(own, own.mesh), []
+    tints, own_tints = corner_tints(asset), corner_tints(own)
     for view in VIEWS:
         first, others = (render.look(one.mesh, *view, size, up) for one in (own, asset))  # pyright: ignore
-        rows.append([render.show(first, before), *(render.show(others, mesh) for mesh in meshes)])
+        input_view = render.show(first, before, own_tints)
+        rows.append([input_view, *(render.show(others, mesh, tints) for mesh in meshes)])
     return render.contact_sheet(rows, ["input", *captions])
 
 

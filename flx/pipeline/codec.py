@@ -43,6 +43,10 @@ class Codec(NamedTuple):
             raise ValueError(f"rings have shape {shape}; give {wanted} samples each, as flx.triangulate does")
         return _in_chunks(partial(_mean_code, self.config), self.params, rings, RINGS)
 
+    def deviations(self, rings: RingSamples) -> Float32[np.ndarray, "V D"]:
+        """σ of the code of each one-ring, that of both its coordinates; `encode` gives its mean."""
+        return _in_chunks(partial(_deviations, self.config), self.params, rings, RINGS)
+
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
         """Colours in [0, 1]: what the corners of each face predict, blended."""
         return self.decoder(z)(queries)
@@ -86,6 +90,12 @@ def digest_of(params: Any) -> str:
 def _mean_code(config: FLVAE, params: Any, chunk: RingSamples) -> jax.Array:
     posterior: Any = FieldLatentVAE(config).apply(params, chunk, method="encode")
     return posterior.mean
+
+
+@partial(jax.jit, static_argnums=0)
+def _deviations(config: FLVAE, params: Any, chunk: RingSamples) -> jax.Array:
+    posterior: Any = FieldLatentVAE(config).apply(params, chunk, method="encode")
+    return jnp.exp(posterior.log_sigma)
 
 
 @partial(jax.jit, static_argnums=0)

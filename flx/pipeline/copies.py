@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Complex64
+from jaxtyping import Complex64, Float32
 from tqdm import tqdm
 
 from flx.arguments import whole
@@ -56,7 +56,8 @@ class Prepared(NamedTuple):
 
     triangulation: Triangulation
     tables: MeshTables
-    latents: Complex64[np.ndarray, "V D"]
+    latents: Complex64[np.ndarray, "V D"]  # the means of their posteriors
+    deviations: Float32[np.ndarray, "V D"] | None = None  # σ of these, where codes are drawn
 
 
 class Cache(NamedTuple):
@@ -64,6 +65,7 @@ class Cache(NamedTuple):
 
     folder: Path
     key: str
+    drawn: bool = False  # whether they hold deviations
 
     def path(self, seed: int) -> Path:
         return self.folder / f"{self.key}-{seed:04d}.npz"
@@ -77,13 +79,15 @@ class Cache(NamedTuple):
     def save(self, seed: int, copy: Prepared) -> None:
         save_tables(self._tables(seed), copy.tables)
         rest = {**copy.triangulation._asdict(), "latents": copy.latents}
+        rest |= {} if copy.deviations is None else {"deviations": copy.deviations}
         write_atomically(self.path(seed), lambda path: np.savez(path, **rest))
 
     def load(self, seed: int) -> Prepared:
         """Raises ValueError where a file of the copy is damaged."""
         with _arrays(self.path(seed), "prepared copy") as arrays:
             triangulation, latents = Triangulation(arrays["vertices"], arrays["faces"]), arrays["latents"]
-        return Prepared(triangulation, load_tables(self._tables(seed)), latents)
+            deviations = arrays["deviations"] if self.drawn else None
+        return Prepared(triangulation, load_tables(self._tables(seed)), latents, deviations)
 
     def find(self, seed: int) -> Prepared | None:
         """The copy, or None where it is not there, or damaged, which is said on stderr."""
@@ -96,11 +100,12 @@ class Cache(NamedTuple):
             return None
 
 
-def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec) -> Cache:
-    """The cache of the copies that depend on exactly these contents."""
+def open_cache(folder: Path, asset: Asset, surface: Surface, codec: Codec, drawn: bool = False) -> Cache:
+    """The cache of the copies that depend on exactly these contents; `drawn`: with deviations of codes."""
     folder.mkdir(parents=True, exist_ok=True)
     parts = (asset.digest, surface.vertices, surface.slots, codec.config, codec.digest())
-    return Cache(folder, hashlib.sha256(repr(parts).encode()).hexdigest()[:12])
+    parts += ("deviations",) * drawn
+    return Cache(folder, hashlib.sha256(repr(parts).encode()).hexdigest()[:12], drawn)
 
 
 def prepare(
@@ -127,7 +132,9 @@ def prepare(
     with contextlib.closing(made), contextlib.closing(bar):
         try:
             for seed, copy in bar:
-                prepared = Prepared(copy.triangulation, copy.tables, codec.encode(copy.rings))
+                deviations = codec.deviations(copy.rings) if cache.drawn else None
+                codes = codec.encode(copy.rings), deviations
+                prepared = Prepared(copy.triangulation, copy.tables, *codes)
                 cache.save(seed, prepared)
                 copies[seed] = prepared
         except (ChildProcessError, MemoryError) as death:

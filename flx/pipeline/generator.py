@@ -22,7 +22,7 @@ from jax.tree_util import Partial
 from jaxtyping import Complex64, Complex128, Float64, Int32
 
 from flx import __version__
-from flx.arguments import number
+from flx.arguments import number, whole
 from flx.assets.asset import Asset
 from flx.assets.formats.files import inside
 from flx.assets.read import read_asset, read_with_maps
@@ -343,6 +343,8 @@ def _parse(record: dict[str, Any], tensors: dict[str, np.ndarray]) -> Generator:
     shift, scale = tensors["scaling"].view(np.complex64)
     if len(scale) != codec.config.latents:
         raise ValueError(f"scaling of {len(scale)} channels for codes of {codec.config.latents}")
+    if not (scale.real * scale.imag).all():
+        raise ValueError("scaling is 0 in a channel")
     home = Triangulation(tensors["home/vertices"], tensors["home/faces"].astype(np.int64))
     if not len(home.faces) or not 0 <= home.faces.min() <= home.faces.max() < len(home.vertices):
         raise ValueError("a face of its triangulation names a vertex that is not there")
@@ -355,7 +357,7 @@ def _parse(record: dict[str, Any], tensors: dict[str, np.ndarray]) -> Generator:
         codec,
         Home(home, tables),
         Source(**source, files=files),
-        record["step"],
+        whole("step", record["step"]),
         _labels(tensors, len(home.vertices), experiment.model.conditions),
         _direction(tensors, len(home.vertices)) if experiment.model.directions else None,
     )

@@ -25,6 +25,8 @@ def load_tensors(path: Path, key: str) -> tuple[str, Tensors]:
 
     Raises ValueError, with a reason in one line, where the file is missing or damaged or has no such text.
     """
+    if path.exists() and not path.is_file():  # of a pipe, the reader would wait for ever
+        raise ValueError("it is not a file")
     try:
         with safe_open(path, "numpy") as file:
             entry = (file.metadata() or {})[key]
@@ -36,6 +38,9 @@ def load_tensors(path: Path, key: str) -> tuple[str, Tensors]:
     digest, _, text = entry.partition(" ")
     if digest != content_digest(tensors, text):
         raise ValueError("its content is not what was written")
+    for name, tensor in tensors.items():
+        if tensor.dtype.kind in "fc" and not np.isfinite(tensor).all():
+            raise ValueError(f"{name} is not finite")
     return text, tensors
 
 

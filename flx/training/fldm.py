@@ -80,7 +80,7 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     fingerprint = fingerprint_of(asset, codec, surface)
     run = open_run(root, experiment, fingerprint)
     asset = keep(asset, run, surface)
-    rules = experiment.model.emphasis, labelled, drawn, intact, workers
+    rules = experiment.model, labelled, drawn, intact, workers
     copies, scaling, home, labels, direction = load_copies(run, asset, surface, codec, *rules)
     keeping(lambda: kept(run))
     source = source_of(run, surface, asset)
@@ -94,7 +94,8 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     def batches(step: int) -> MeshBatch:
         rng = np.random.default_rng([config.seed, step])
         chosen = rng.choice(surface.copies, config.batch, replace=config.batch > surface.copies)
-        tables, latents, *seen = jax.tree.map(lambda a: a[chosen], copies)
+        tables, means, spreads, *seen = copies.at(chosen)
+        latents = means if spreads is None else drawn_codes(means, spreads, rng)
         times = draw_times(experiment.model, config.seed, step * config.batch, config.batch)
         return MeshBatch(tables, latents, times, *seen)
 
@@ -103,11 +104,13 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
         generator = learnt_generator(experiment, params, *parts)
         save_generator(run.generator, generator)
 
-    tables, latents, numbers, vectors, masses = jax.tree.map(lambda a: a[0], copies)
-    if masses is not None:
-        say(f"{run.folder}: {surface.fill} hides {tables.fine.masses[masses == 0].sum():.1%} of the surface")
-    seen = conditions_of(experiment.model, numbers, vectors)
-    params = jax.jit(network.init)(jax.random.key(config.seed), tables, latents, jnp.float32(1), *seen)
+    first = copies.at(0)
+    if first.masses is not None:
+        hidden = first.tables.fine.masses[first.masses == 0].sum()
+        say(f"{run.folder}: {surface.fill} hides {hidden:.1%} of the surface")
+    start = first.tables, first.latents, jnp.float32(1)
+    seen = conditions_of(experiment.model, first.labels, first.direction)
+    params = jax.jit(network.init)(jax.random.key(config.seed), *start, *seen)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
     if not run.generator.exists():  # an earlier version trained it
         save(int(state.step), state.ema)
@@ -143,13 +146,27 @@ def draw_times(model: FLDM, seed: int, first: int, count: int) -> Int32[np.ndarr
     return (1 + np.floor(numbers * model.steps)).astype(np.int32)
 
 
-Copies = tuple[
-    MeshTables,
-    Complex64[np.ndarray, "B V D"],
-    Int32[np.ndarray, "B V"] | None,
-    Complex64[np.ndarray, "B V"] | None,
-    Float32[np.ndarray, "B V"] | None,
-]
+def drawn_codes(
+    means: Complex64[np.ndarray, "*B D"], spreads: Complex64[np.ndarray, "*B D"], rng: np.random.Generator
+) -> Complex64[np.ndarray, "*B D"]:
+    """z = μ + σ ε: `spreads` are σ of the real part and, as the imaginary part, that of the imaginary one."""
+    ahead, up = rng.standard_normal((2, *means.shape), np.float32)
+    return (means + spreads.real * ahead + 1j * (spreads.imag * up)).astype(np.complex64)
+
+
+class Copies(NamedTuple):
+    """All copies of one mesh: their scaled latents, and what their vertices are like."""
+
+    tables: MeshTables
+    latents: Complex64[np.ndarray, "*B V D"]
+    spreads: Complex64[np.ndarray, "*B V D"] | None  # of the latents, where they are drawn; see `drawn_codes`
+    labels: Int32[np.ndarray, "*B V"] | None
+    direction: Complex64[np.ndarray, "*B V"] | None
+    masses: Float32[np.ndarray, "*B V"] | None  # as in `MeshBatch`
+
+    def at(self, chosen: Any) -> "Copies":
+        """One of them, or some."""
+        return jax.tree.map(lambda a: a[chosen], self)
 
 
 def load_copies(
@@ -157,31 +174,35 @@ def load_copies(
     asset: Asset,
     surface: Surface,
     codec: Codec,
-    emphasis: float,
+    model: FLDM,
     labelled: LabelMap | None = None,
     direction: Direction | None = None,
     intact: Kept | None = None,
     workers: int | None = None,
 ) -> tuple[Copies, Scaling, Home, Labels | None, Complex128[np.ndarray, "V"] | None]:
-    """Tables, scaled latents, labels, directions and masses in the loss of all copies of the asset, prepared
-    if need be, and the scaling.
+    """All copies of the asset, prepared if need be, and the scaling of their latents.
 
     The first copy is also returned as it is, with its labels and its direction: the generator samples on it.
     The direction is computed there, and carried to the others.
     """
     learnt, masses = without_damage(asset, intact), None
-    cache = open_cache(run.prepared, learnt, surface, codec)
+    cache = open_cache(run.prepared, learnt, surface, codec, model.codes == "draws")
     copies = prepare(cache, learnt, surface, codec, workers)
     latents = [copy.latents for copy in copies]
     every = np.concatenate(latents)
+    deviations = [copy.deviations for copy in copies if copy.deviations is not None]
+    if deviations:
+        both = np.concatenate(deviations) * np.complex64(1 + 1j)
+        every = drawn_codes(every, both, np.random.default_rng(surface.seed))
     if intact is not None:
         each = ((copy.triangulation, copy.tables.fine.masses) for copy in copies)
         masses = np.stack([intact_masses(asset.mesh, intact, *copy) for copy in each])
         every = every[masses.ravel() > 0]
     scaling = latent_scaling(every, codec.config.invariants)
-    if emphasis:
+    if model.emphasis:
         effects = codec.effects(every, scaling)
-        scaling = emphasized(scaling, effects, emphasis, codec.config.invariants)
+        scaling = emphasized(scaling, effects, model.emphasis, codec.config.invariants)
+    spreads = np.stack([sigma * scaling.scale for sigma in deviations]) if deviations else None
     scaled = np.stack([scaling.to_diffusion(z) for z in latents])
     home = Home(copies[0].triangulation, copies[0].tables)
     tables = stack([copy.tables for copy in copies])
@@ -193,7 +214,7 @@ def load_copies(
         field = field_on(direction, home.triangulation)
         others = [carried(field, home.triangulation, copy.triangulation) for copy in copies[1:]]
         vectors = np.stack([field, *others]).astype(np.complex64)
-    return (tables, scaled, numbers, vectors, masses), scaling, home, labels, field
+    return Copies(tables, scaled, spreads, numbers, vectors, masses), scaling, home, labels, field
 
 
 def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
@@ -207,7 +228,7 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     direction = read_direction(said, asset) if (said := direction_in(run, surface)) else None
     intact = read_damage(fill_in(run, surface), asset) if surface.fill else None
     experiment = completed(experiment, codec, labelled, direction)
-    rules = experiment.model.emphasis, labelled, direction, intact
+    rules = experiment.model, labelled, direction, intact
     _, scaling, home, labels, field = load_copies(run, asset, surface, codec, *rules)
     state = restore(run, experiment.train, parameter_shapes(experiment.model, home.tables))
     source = source_of(run, surface, asset)

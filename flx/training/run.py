@@ -19,8 +19,10 @@ from typing import Any, get_args
 from filelock import FileLock, Timeout
 
 from flx import __version__
+from flx.assets.formats.files import read_file
 from flx.config import Experiment, from_json, with_added
-from flx.files import write_atomically
+from flx.files import check_place, write_atomically
+from flx.pipeline.tensors import one_line
 
 # What each field that may change between calls does to the training; "" for nothing.
 STEERING = {
@@ -65,13 +67,14 @@ class Run:
 def open_run(root: str | Path, experiment: Experiment, fingerprint: str) -> Run:
     """Create the folder `root/<experiment.name>`, or reopen it for the same experiment and asset.
 
-    Raises ValueError if the name is not a folder name, if the folder belongs to another experiment or asset,
-    if there is a link in it, and while somebody trains there.
+    Raises ValueError if the name is not a folder name, or too long for one, if the folder belongs to another
+    experiment or asset, if there is a link in it, and while somebody trains there.
     """
     name = experiment.name
     if Path(name).name != name or name in ("", ".."):
         raise ValueError(f"{name!r} is not a folder name; give the run a name without slashes with --name")
     run = Run(Path(root) / name)
+    check_place(run.config, "give the run another name with --name")
     _refuse_links(run.folder)
     record = {"flx": __version__, "kind": type(experiment).__name__, "fingerprint": fingerprint}
     record |= {"config": json.loads(json.dumps(asdict(experiment)))}  # as it reads back: tuples are lists
@@ -174,15 +177,17 @@ def _differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, Any
 def _read(path: Path) -> dict[str, Any]:
     """Read a `config.json` and check its frame: kind, fingerprint, config."""
     try:
-        record = json.loads(path.read_bytes())
+        record = json.loads(read_file(path))
         known = record["kind"] in _KINDS and isinstance(record["fingerprint"], str)
         if not known or not isinstance(record["config"], dict):
             raise KeyError("kind, fingerprint or config")
         if "flx" not in record and record["kind"] == "FLDMExperiment":
             record["config"]["model"] |= {"latents": None, "invariants": None}  # they were not the codec's
         record["config"] = with_added(_KINDS[record["kind"]], record["config"])
-    except (ValueError, KeyError, TypeError) as error:
-        message = f"{path} does not record a run ({error}); restore it, or train under another --name"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        message = (
+            f"{path} does not record a run ({one_line(error)}); restore it, or train under another --name"
+        )
         raise ValueError(message) from None
     return record
 

@@ -1,5 +1,6 @@
 """Laws of the door: the file's own geometry goes out as it came in, and every fault has one line."""
 
+import io
 import json
 import os
 import struct
@@ -9,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-from helpers.files import PLY
-from PIL import Image
+from helpers.files import PLY, obj
+from PIL import ExifTags, Image
 
 from flx.assets.asset import Asset, Painting
 from flx.assets.formats.gltf import accessor, read_gltf
@@ -346,3 +347,18 @@ def test_real_meshes_have_the_counts_that_were_measured(real):
     assert report.euler == stats["euler"] - report.ear_faces // 2
     stacked = np.concatenate([part.positions for part in asset.parts])
     assert np.array_equal(stacked[asset.corner_vertices], asset.mesh.vertices[asset.mesh.faces])
+
+
+@pytest.mark.parametrize(("kind", "told"), [("JPEG", True), ("PNG", True), ("WEBP", True), ("TIFF", False)])
+def test_an_image_that_exif_data_turn_is_taken_as_stored_and_told(tmp_path, kind, told):
+    """Except of a TIFF, whose own tag it is."""
+    pixels = np.repeat(np.repeat(np.array([[[255, 0, 0]], [[0, 0, 255]]], np.uint8), 8, 0), 8, 1)
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6  # a quarter turn
+    content = io.BytesIO()
+    Image.fromarray(pixels).save(content, kind, exif=exif)
+    asset = read_asset(obj(image=content.getvalue())(tmp_path))
+    as_stored = asset.mesh.textures[0].shape == (16, 8, 3)
+    assert as_stored == told == asset.textures[0].turned
+    assert ("EXIF turns it" in asset.report.textures[0]) == told
+    assert not read_asset(obj()(tmp_path)).textures[0].turned

@@ -1,11 +1,12 @@
 """Laws of the doctor: what it counts is what was put in, and what it foresees follows from the surface."""
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.files import MTL, OBJ, at, obj
+from helpers.files import MTL, OBJ, at, obj, png
 from helpers.surfaces import random_sphere
 from PIL import Image
 
@@ -116,8 +117,8 @@ def test_the_network_that_is_estimated_is_the_one_that_is_trained(tmp_path, vert
         examined(asset, FLDMExperiment(surface=surface, model=FLDM(blocks=b))).plan for b in (None, blocks)
     )
     assert found.train_seconds == asked.train_seconds and found.train_bytes == asked.train_bytes
-    shallow = examined(asset, FLDMExperiment(surface=surface, model=FLDM(blocks=(1, 0, 0)))).plan
-    assert shallow.train_seconds == pytest.approx(found.train_seconds / sum(blocks))
+    shallow = examined(asset, FLDMExperiment(surface=surface, model=FLDM(blocks=(1, 1, 1)))).plan
+    assert shallow.train_seconds == pytest.approx(3 * found.train_seconds / sum(blocks))
 
 
 def test_the_command_prints_everything_as_json(tmp_path, capsys):
@@ -229,6 +230,16 @@ def test_materials_and_parts_that_will_mix_are_named(tmp_path):
         text.startswith("2 materials are learnt as one") for text in examined(read_asset(path)).warnings
     )
     assert not any("mix" in text for text in examined(square(tmp_path, 0.5)).warnings)
+
+
+def test_an_image_that_exif_data_turn_is_warned_of(tmp_path):
+    exif, content = Image.Exif(), io.BytesIO()
+    exif[274] = 6
+    Image.new("RGB", (8, 8)).save(content, "JPEG", exif=exif)
+    for image, count in ((content.getvalue(), 1), (png(), 0)):
+        warnings = examined(read_asset(obj(image=image)(tmp_path))).warnings
+        told = [text for text in warnings if "EXIF data turn 'a.png': browsers do so" in text]
+        assert len(told) == count
 
 
 def test_maps_that_do_not_follow_new_colours_and_factors_are_told(tmp_path):

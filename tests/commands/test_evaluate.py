@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from helpers.files import colored_ball
 
@@ -20,7 +21,8 @@ def made(tmp_path, monkeypatch) -> list:
     asset, calls = read_asset(colored_ball(tmp_path)), []
     home = SimpleNamespace(triangulation=SimpleNamespace(vertices=[0] * 177))
     experiment = SimpleNamespace(surface=Surface())
-    run = SimpleNamespace(asset=asset, home=home, experiment=experiment)
+    learnt = {"params": {"w": np.ones(2)}, "step": 7}
+    run = SimpleNamespace(asset=asset, home=home, experiment=experiment, **learnt)
     run.labels = run.labelled = run.direction = run.intact = None
 
     def generate(generator, count, *_, controls, **__):
@@ -91,6 +93,31 @@ def test_samples_are_made_as_they_are_asked_for(tmp_path, monkeypatch, made, opt
     assert made == [call, ("judged", ["sample 0", "sample 1"])]
     record = json.loads((tmp_path / "out" / "evaluation.json").read_bytes())
     assert (record["instant"], record["invention"]) == said
+
+
+def test_no_evaluation_replaces_another(tmp_path, monkeypatch, made):
+    monkeypatch.chdir(tmp_path)
+    run, ball, seen = Path("run"), colored_ball(tmp_path), []
+    other = tmp_path / "other.ply"
+    other.write_bytes(ball.read_bytes())
+    calls = (
+        *({"source": run, **more} for more in ({}, {"seed": 1}, {"count": 2}, {"invention": 1.0})),
+        *({"source": run, **more} for more in ({"instant": True}, {"samples": (other,)})),
+        {"source": ball, "samples": (other,)},
+    )
+    for options in calls + calls:
+        Evaluate(**options)()
+        seen.append(sorted(path.relative_to(tmp_path) for path in tmp_path.glob("**/evaluation.html")))
+    assert [len(pages) for pages in seen] == [1, 2, 3, 4, 5, 6, 7] + [7] * 7
+    names = {str(page.parent) for page in seen[-1]}
+    assert {"run/evaluation", "run/evaluation-seed-1", "run/evaluation-count-2"} < names
+    assert {"run/evaluation-instant", "run/evaluation-invention-1-0"} < names
+    with pytest.raises(ValueError, match=r"holds the files of another call \(seed = 0, not 3\)"):
+        Evaluate(source=run, seed=3, out=tmp_path / "run/evaluation")()
+    ball.write_bytes(ball.read_bytes().replace(b"end_header", b"comment painted over\nend_header"))
+    other.write_bytes(ball.read_bytes())
+    Evaluate(source=run, samples=(other,))()
+    assert len([*tmp_path.glob("**/evaluation.html")]) == 8
 
 
 def test_samples_without_a_network_have_no_other_source(tmp_path):

@@ -1,6 +1,7 @@
 """Laws of where verbs write: no call replaces the files of another one, and the same call finds its own."""
 
 import json
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -232,3 +233,11 @@ def test_a_page_of_someone_else_is_left_alone(generator, tmp_path):
     mine.write_text("mine")
     assert sample(Sample(tmp_path / "run", count=1)).name == "samples-step-5"
     assert mine.read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(generator, tmp_path):
+    (tmp_path / "nowhere").symlink_to("else")
+    for out, fault in (("nowhere", "is a link that leads nowhere"), ("x" * 256, "File name too long")):
+        with pytest.raises(ValueError, match=rf"{fault}\)?; name another folder with --out"):
+            sample(Sample(tmp_path / "run", count=1, out=tmp_path / out))
+    assert not os.path.lexists(tmp_path / "else")

@@ -1,21 +1,29 @@
 """Laws of the loss of diffusion: 0 for who knows the noise, 1 for who says nothing; t drawn evenly."""
 
+from typing import Literal
+
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.files import colored_ball
 from helpers.surfaces import square_grid
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from flx.config import FLDM
+from flx.config import FLDM, FLDMExperiment, Surface, Train
 from flx.fields.algebra import tangent_noise
 from flx.geometry.tables import mesh_tables, stack
 from flx.models.denoiser.unet import schedule
 from flx.models.denoiser.vectors import Denoiser
-from flx.training.fldm import MeshBatch, diffusion_loss, draw_times
+from flx.pipeline.codec import load_codec
+from flx.pipeline.copies import open_cache
+from flx.pipeline.generator import read_generator
+from flx.training.fldm import MeshBatch, diffusion_loss, draw_times, learn_fldm
+from flx.training.loop import TrainState
+from flx.training.run import Run
 
 
 class Knowing(Denoiser):
@@ -77,6 +85,35 @@ def test_any_stretch_of_a_training_draws_all_noise_levels(seed, first):
     deviates = (np.log((1 - alphas) / alphas) / 2 - 0.2) / 1.1
     assert kstest(deviates, "norm").statistic < 0.05
     np.testing.assert_array_equal(drawn[40:], draw_times(FLDM(draws="lognormal"), seed, first + 40, 60))
+
+
+@pytest.mark.slow
+def test_training_sees_draws_from_the_posterior_where_they_are_asked_for(tmp_path, monkeypatch):
+    """z = μ + σ ε: the same for a step, others at each step, as far from the means as σ says."""
+    path, feeds = str(colored_ball(tmp_path)), {}
+
+    def notes(run, config, params, loss, batches, save) -> TrainState:
+        feeds[run.folder.name] = batches
+        return TrainState(jnp.int32(1), params, params, None, jnp.zeros(2, jnp.uint32))
+
+    monkeypatch.setattr("flx.training.fldm.train", notes)
+    codes: tuple[Literal["means", "draws"], ...] = ("means", "draws")
+    for name in codes:
+        small = FLDM(channels=4, embedding=8, codes=name)
+        surface = Surface(path=path, vertices=100, copies=1)
+        learn_fldm(FLDMExperiment(name, surface, Train(batch=1), small), tmp_path / "runs", 1)
+    means, draws = (np.stack([feeds[name](step).latents[0] for step in range(60)]) for name in codes)
+    assert (means == means[0]).all() and (feeds["draws"](7).latents == draws[7]).all()
+    assert len(np.unique(draws[:, 0, 0])) == 60
+    run = Run(tmp_path / "runs" / "draws")
+    generator = read_generator(run.generator)
+    cache = open_cache(run.prepared, generator.asset, Surface(vertices=100), load_codec(), True)
+    prepared, scaling = cache.load(0), generator.scaling
+    assert prepared.deviations is not None and prepared.deviations.min() > 0
+    spreads = prepared.deviations * scaling.scale
+    for part in (np.real, np.imag):
+        found = (part(draws - scaling.to_diffusion(prepared.latents)) / part(spreads)).ravel()
+        assert kstest(found, "norm").statistic < 0.01
 
 
 class Told(Denoiser):

@@ -22,7 +22,7 @@ experiments = st.one_of(
     st.builds(
         FLDMExperiment,
         name=st.just("x"),
-        model=st.builds(FLDM, blocks=st.none() | st.tuples(*3 * [st.integers(0, 9)])),
+        model=st.builds(FLDM, blocks=st.none() | st.tuples(*3 * [st.integers(1, 9)])),
         surface=st.builds(Surface, path=st.text(), texture=st.none() | st.text()),
         train=trains,
         weights=st.none() | st.text(),

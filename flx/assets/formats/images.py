@@ -2,6 +2,10 @@
 
 The number of pixels in the header is checked before anything is decoded. Formats are listed one by one:
 Pillow knows some (EPS) that start other programs.
+
+EXIF data of a photograph may say that it is to be turned. Viewers disagree about that in textures: Blender
+and trimesh take the pixels as they are stored, browsers turn them. Here they are as stored, and `is_turned`
+tells. Only those of a TIFF, whose own tag it is, are turned, by Pillow.
 """
 
 import io
@@ -13,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import UInt, UInt8, UInt16
-from PIL import Image
+from PIL import ExifTags, Image
 
 from flx.assets.formats.files import BadFile, limit
 
@@ -109,6 +113,18 @@ def original_kind(content: bytes, name: str) -> str:
     bits = "16-bit " if bits_of(image) == 16 else ""
     kind = KINDS.get(image.mode, image.mode)
     return "" if f"{bits}{kind}" == "RGB" else f"{bits}{kind}"
+
+
+def is_turned(content: bytes, name: str) -> bool:
+    """Whether EXIF data say that the stored pixels are turned or mirrored."""
+    try:
+        image = open_image(content, name)
+        turned = image.getexif().get(ExifTags.Base.Orientation, 1) in range(2, 9)
+        return turned and image.format != "TIFF"
+    except BadFile:
+        raise
+    except Exception:  # EXIF data may be broken in any way, and are not needed
+        return False
 
 
 def encode_png(image: UInt[Any, "_ _ 3"], alpha: UInt8[Any, "_ _"] | None) -> bytes:

@@ -1,0 +1,47 @@
+"""`--help` for beginners: the first options of a verb; `--help-all` lists every one."""
+
+from collections.abc import Collection, Iterator
+
+FIRST = {
+    "train": "--name --workers --surface.path --surface.texture --surface.labels --surface.direction "
+    "--surface.vertices --surface.copies --surface.up --train.steps --images.folder --model.channels",
+    "sample": "--instant --texture --count --seed --out --texture-size --format --mesh --scale --keep "
+    "--fill --labels --direction --strength --variants",
+}
+
+
+def shortened(verb: str, text: str) -> str:
+    """The help of a verb with its first options alone, and where the others are."""
+    first = FIRST[verb].split()
+    kept = [line for box in _boxes(text.splitlines()) for line in _kept(box, first)]
+    return "\n".join([*kept, f"flx {verb} --help-all lists every option."])
+
+
+def _boxes(lines: list[str]) -> Iterator[list[str]]:
+    """Runs of lines: a box with its frame, or what is between boxes."""
+    run: list[str] = []
+    for line in lines:
+        if line.startswith("╭") and run:
+            yield run
+            run = []
+        run.append(line)
+        if line.startswith("╰"):
+            yield run
+            run = []
+    if run:
+        yield run
+
+
+def _kept(box: list[str], first: Collection[str]) -> list[str]:
+    """A box of options with the first ones alone; nothing of a box that has none of them."""
+    if not box[0].startswith("╭") or "positional" in box[0]:
+        return box
+    kept, inside, found = [], True, False  # what a box is about comes before its options
+    for line in box:
+        words = line.strip("│").split()
+        if line.startswith("│ -"):
+            inside = words[0].rstrip(",") in first
+            found |= inside
+        if inside or line is box[-1]:
+            kept.append(line)
+    return kept if found else []
