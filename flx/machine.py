@@ -1,5 +1,6 @@
 """What this machine gives to this process: processors and memory."""
 
+import contextlib
 import os
 import shutil
 from pathlib import Path
@@ -64,3 +65,16 @@ def _containers() -> list[Path]:
 def _numbers(path: Path) -> dict[str, float]:
     """The second word of each line, by the first."""
     return {words[0]: float(words[1]) for words in map(str.split, path.read_text().splitlines())}
+
+
+def yield_to_others() -> None:
+    """From here on this process, which serves others, runs when they leave a processor free; for good.
+
+    Linux may share processors among sessions first, so it begins one of its own, which yields as a whole.
+    """
+    with contextlib.suppress(AttributeError, OSError):
+        os.setsid()
+    with contextlib.suppress(OSError):
+        Path("/proc/self/autogroup").write_text("19")
+    with contextlib.suppress(AttributeError, OSError):
+        os.nice(19)

@@ -1,6 +1,8 @@
 """Laws of what this machine gives to a process."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -35,3 +37,10 @@ def test_memory_is_what_the_tightest_container_leaves(tmp_path, monkeypatch):
 def test_a_system_that_does_not_say_has_no_limit(monkeypatch):
     monkeypatch.delattr(os, "sysconf")
     assert machine.memory() is None
+
+
+@pytest.mark.skipif(not hasattr(os, "nice"), reason="POSIX alone has priorities")
+def test_a_process_yields_to_others():
+    code = "import os; from flx.machine import yield_to_others; yield_to_others(); print(os.nice(0))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == 19

@@ -1,7 +1,7 @@
 """The page of a training: its curves, and a small preview of what it makes so far, live.
 
 The training itself does nothing for it: its metrics are read from its file, and previews are made of the
-generator that it saves at each checkpoint, by a process that yields to it (`nice` 19).
+generator that it saves at each checkpoint, by a process that yields to it.
 """
 
 import csv
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from flx.files import write_atomically
+from flx.machine import yield_to_others
 from flx.pipeline.workers import in_order, in_processes
 from flx.viewer.page import html
 from flx.viewer.server import Answer, Answers
@@ -115,8 +116,7 @@ def preview(generator: str, folder: str, up: str) -> None:
 
     For a process of its own, which yields to all others.
     """
-    if hasattr(os, "nice"):
-        os.nice(19)
+    yield_to_others()
     os.environ["JAX_PLATFORMS"] = "cpu"  # a training may fill its accelerator
     from flx.controls import Controls
     from flx.pipeline.canvas import side_by_side

@@ -83,7 +83,7 @@ def test_a_new_generator_is_previewed_once_and_a_fault_is_told(run, monkeypatch)
 
 @pytest.mark.slow
 def test_a_preview_is_a_picture_of_the_input_and_a_sample(tmp_path, monkeypatch):
-    monkeypatch.setattr("os.nice", lambda _: 0)
+    monkeypatch.setattr("flx.viewer.watch.yield_to_others", lambda: None)
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
     learnt = ball_generator(tmp_path)
     save_generator(tmp_path / "generator.safetensors", learnt)
