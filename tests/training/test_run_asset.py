@@ -165,3 +165,18 @@ def test_strokes_are_kept_with_the_mesh_and_a_word_is_itself(tmp_path):
     assert kept.is_relative_to(tmp_path / "a") and kept.read_bytes() == written
     assert direction_in(Run(tmp_path / "b"), worded) == "y" and not (tmp_path / "b/asset/direction").exists()
     assert direction_in(Run(tmp_path / "b"), Surface(path=path)) == ""
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda content: content[:-9], lambda content: content.replace(b"99", b"98", 1)]
+)
+def test_a_damaged_copy_is_made_again_with_a_word(tmp_path, capsys, damage):
+    surface, run = Surface(path=str(ply_colors(tmp_path / "own"))), Run(tmp_path / "run")
+    asset = read_source(surface)
+    copy = keep(asset, run, surface)
+    assert not capsys.readouterr().err and keep(asset, run, surface).digest == asset.digest
+    before = copy.path.read_bytes()
+    copy.path.write_bytes(damage(before))
+    assert keep(asset, run, surface).digest == asset.digest and copy.path.read_bytes() == before
+    told = capsys.readouterr().err
+    assert told == f"{copy.path} is not what was copied there; it is copied again\n"
