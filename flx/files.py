@@ -21,6 +21,8 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _clear_torn(path.parent)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder, and a file should be there; delete it")
     torn = path.with_name(f"{TORN}{os.getpid()}.{path.name[-50:]}")  # a name has at most 255 bytes
     _leftovers.add(torn)
     try:

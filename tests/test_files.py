@@ -56,6 +56,13 @@ def test_a_full_disk_is_said_with_the_file_and_what_to_do(tmp_path, number):
     assert error.value.errno == number and not list(tmp_path.iterdir())
 
 
+def test_a_folder_in_the_place_of_a_file_is_said_and_stays(tmp_path):
+    (tmp_path / "a.npz" / "mine").mkdir(parents=True)
+    with pytest.raises(IsADirectoryError, match=r"a\.npz is a folder, and a file should be there; delete it"):
+        write_atomically(tmp_path / "a.npz", b"whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"] and (tmp_path / "a.npz" / "mine").exists()
+
+
 def test_the_longest_name_can_be_written(tmp_path):
     path = tmp_path / ("ä" * 125 + ".json")
     write_atomically(path, lambda torn: torn.write_bytes(torn.suffix.encode()))

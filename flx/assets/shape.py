@@ -18,7 +18,7 @@ from flx.arguments import check_word, path_of
 from flx.assets.assemble import assemble, faults_of
 from flx.assets.asset import Asset, Format
 from flx.assets.formats import glb
-from flx.assets.formats.files import check_faces, read_file
+from flx.assets.formats.files import BadFile, check_faces, read_file
 from flx.assets.formats.gltf import Gltf
 from flx.assets.formats.images import check_together, decode_image
 from flx.assets.formats.parts import Material, Part
@@ -145,8 +145,12 @@ def _read_other(path: Path) -> Contents:
     """A format that holds triangles alone, by trimesh; vertices at the same position are one."""
     import trimesh
 
-    content = io.BytesIO(read_file(path))
-    mesh: Any = trimesh.load_mesh(content, file_type=path.suffix[1:].lower(), process=False)
+    content = read_file(path)
+    if path.suffix.lower() == ".stl" and not content.lstrip().startswith(b"solid"):
+        count = int.from_bytes(content[80:84], "little")
+        if len(content) < 84 + 50 * count:
+            raise BadFile(f"{count:,} triangles do not fit into {len(content):,} bytes; export it again")
+    mesh: Any = trimesh.load_mesh(io.BytesIO(content), file_type=path.suffix[1:].lower(), process=False)
     check_faces(len(mesh.faces))
     first, which = distinct_rows(np.asarray(mesh.vertices, np.float64))
     faces = which[np.asarray(mesh.faces, np.int64)]

@@ -177,8 +177,10 @@ def load_tables(path: Path) -> MeshTables:
 def _arrays(path: Path, what: str) -> Iterator[Any]:
     """The arrays of an npz. Raises ValueError, naming the file, if it is damaged or lacks an array.
 
-    Each array in it has a checksum.
+    Each array in it has a checksum. Raises IsADirectoryError for a folder, which cannot be made again.
     """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder, and a file should be there; delete it")
     try:
         with np.load(path, allow_pickle=False) as file:
             yield file

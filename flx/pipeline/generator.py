@@ -177,7 +177,7 @@ class Generator:
         """The labels of the asset's surface, None where it has none."""
         if self.labels is None or self.source.labels is None:
             return None
-        path = Path(self._folder.name, self.source.labels)
+        path = inside(Path(self._folder.name), self.source.labels)
         return read_labels(path, self.asset, self.labels.palette)
 
     @cached_property
@@ -197,10 +197,8 @@ class Generator:
         return read_with_maps(*self._files())._replace(digest=self.asset.digest)
 
     def _files(self) -> tuple[Path, Path | None]:
-        texture = self.source.texture
-        return Path(self._folder.name, self.source.mesh), Path(
-            self._folder.name, texture
-        ) if texture else None
+        folder, texture = Path(self._folder.name), self.source.texture
+        return inside(folder, self.source.mesh), inside(folder, texture) if texture else None
 
     @cached_property
     def _folder(self) -> TemporaryDirectory[str]:

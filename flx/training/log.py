@@ -127,11 +127,18 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _drop_rows_after(metrics: Path, done: int) -> list[str]:
-    """Keep the rows of a metrics.csv up to step `done`, as far as they are whole; return its columns."""
+    """Keep the rows of a metrics.csv up to step `done`, as far as they are whole; return its columns.
+
+    Rows without a step, which only damage makes, are left out with a word.
+    """
     if not metrics.exists():
         return []
-    lines = [line for line in metrics.read_text().splitlines(keepends=True) if line.endswith("\n")]
-    valid = lines[:1] + [line for line in lines[1:] if int(line.split(",")[0]) <= done]
+    text = metrics.read_text(errors="replace")
+    lines = [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
+    rows = [line for line in lines[1:] if line.split(",")[0].isdecimal()]
+    if len(rows) < len(lines[1:]):
+        say(f"{metrics} has {len(lines) - 1 - len(rows)} damaged rows; they are left out")
+    valid = lines[:1] + [line for line in rows if int(line.split(",")[0]) <= done]
     write_atomically(metrics, "".join(valid).encode())
     return valid[0].strip().split(",") if valid else []
 

@@ -5,6 +5,8 @@
 Reading them gives the same bits as the originals. (Older runs have `asset/asset.glb`.)
 """
 
+import contextlib
+import sys
 from pathlib import Path
 
 from flx.assets.assemble import faults_of
@@ -40,8 +42,16 @@ def read_source(surface: Surface) -> Asset:
 
 
 def keep(asset: Asset, run: Run, surface: Surface) -> Asset:
-    """Copy the asset that `read_source` gave into its run, unless it is there; return the copy."""
+    """Copy the asset that `read_source` gave into its run, unless it is there; return the copy.
+
+    A damaged copy is made again, which is said on stderr.
+    """
     path, texture = _places(run, surface)
+    if path.is_file() and path.parent != run.asset:
+        if copy := _same_copy(asset, run, surface):
+            return copy
+        print(f"{path} is not what was copied there; it is copied again", file=sys.stderr)
+        path.unlink()
     if not path.exists():
         if texture is not None:
             write_atomically(texture, read_file(Path(surface.texture or "")))
@@ -53,6 +63,13 @@ def keep(asset: Asset, run: Run, surface: Surface) -> Asset:
             write_atomically(run.asset / "direction" / strokes.name, read_file(strokes))
         _copy(asset, path, given=texture is not None)  # last: where it is, all is
     return read_copy(run, surface)
+
+
+def _same_copy(asset: Asset, run: Run, surface: Surface) -> Asset | None:
+    """The run's copy, if it is one of this asset."""
+    with contextlib.suppress(ValueError, OSError):
+        copy = read_copy(run, surface)
+        return copy if copy.digest == asset.digest else None
 
 
 def read_copy(run: Run, surface: Surface) -> Asset:

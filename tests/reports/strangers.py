@@ -282,7 +282,7 @@ CASES = [
     Case("generator: no network", FILE, "differs", tensors(lambda t: [t.pop(k) for k in [*t] if k.startswith("network/")])),
     Case("generator: no asset", FILE, "does not exist|no asset|asset", tensors(lambda t: [t.pop(k) for k in [*t] if k.startswith("asset/")])),
     Case("generator: an asset outside", FILE, "outside", tensors(lambda t: t.update({"asset/../evil.ply": t["asset/files/ball.ply"]}))),
-    Case("generator: a mesh outside", FILE, "outside|does not exist", tensors(len, lambda r: r["source"].update(mesh="../../etc/passwd"))),
+    Case("generator: a mesh outside", FILE, "outside", tensors(len, lambda r: r["source"].update(mesh="../../etc/passwd"))),
     Case("generator: steps of minus one", FILE, "step", tensors(len, lambda r: r.update(step=-1))),
     Case("generator: a step in words", FILE, "step", tensors(len, lambda r: r.update(step="many"))),
     Case("generator: 10^9 steps of noise", FILE, "model.steps", tensors(len, lambda r: r["experiment"]["model"].update(steps=10**9))),
@@ -311,7 +311,7 @@ CASES = [
     Case("mesh: missing", f"{FILE} --mesh b.obj", "does not exist"),
     Case("mesh: empty", f"{FILE} --mesh b.stl", "is empty", put("b.stl", b"")),
     Case("mesh: no faces", f"{FILE} --mesh b.obj", "no triangles", put("b.obj", "v 0 0 0\n")),
-    Case("mesh: STL of 4e9 triangles", f"{FILE} --mesh b.stl", "b.stl", put("b.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50))),
+    Case("mesh: STL of 4e9 triangles", f"{FILE} --mesh b.stl", "4,294,967,295 triangles do not fit", put("b.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50))),
     Case("mesh: OFF of words", f"{FILE} --mesh b.off", "b.off", put("b.off", "OFF\none two three\n")),
     Case("mesh: NaN", f"{FILE} --mesh b.obj", "not finite", put("b.obj", "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")),
     # options
@@ -355,7 +355,7 @@ def packed(numbers: bytes) -> str:
 TWO = [{"name": "rest", "color": "#808080"}, {"name": "spot", "color": "#ff0000"}]
 REQUESTS = [
     Request("save: nothing", b"", "no JSON object"),
-    Request("save: 100,000 brackets", b"[" * 100_000, "no JSON object"),
+    Request("save: 60,000 brackets", b"[" * 60_000, "no JSON object"),
     Request("save: an integer of 10,000 digits", b'{"labels":' + b"9" * 10_000 + b"}", "no JSON object"),
     Request("save: UTF-16", '{"labels": 1}'.encode("utf-16")[1:], "no JSON object"),
     Request("save: labels in words", drawing("all", ""), "not a list of 2 to 32"),
@@ -366,7 +366,7 @@ REQUESTS = [
     Request("save: a colour with a script", drawing([*TWO, {"name": "x", "color": "#fff;url(x)"}], ""), "no colour"),
     Request("save: no texels", drawing(TWO, None), "base64"),
     Request("save: too few texels", drawing(TWO, packed(bytes(15))), "not 16 bytes"),
-    Request("save: deflated zeros of 1 GB", drawing(TWO, packed(bytes(1 << 30))), "not 16 bytes"),
+    Request("save: deflated zeros of 40 MB", drawing(TWO, packed(bytes(40 << 20))), "not 16 bytes"),
     Request("save: cut off in the middle", drawing(TWO, packed(bytes(16))[:-8]), "base64|not 16 bytes"),
     Request("save: label 255", drawing(TWO, packed(b"\xff" * 16)), "label 255"),
     Request("save: a mask of three", drawing([], packed(b"\x02" * 16)), "label 2", "keep"),

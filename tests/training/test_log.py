@@ -11,7 +11,7 @@ from helpers.regression import INIT, batches, config, loss_fn
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 
 from flx.training.checkpoint import Checkpoints
-from flx.training.log import Log
+from flx.training.log import Log, _drop_rows_after
 from flx.training.loop import train
 from flx.training.run import Run
 
@@ -62,3 +62,11 @@ def events_of(path: Path) -> Iterator[Event]:
         length = int.from_bytes(content[:8], "little")
         yield Event.FromString(content[12 : 12 + length])
         content = content[16 + length :]
+
+
+def test_damaged_rows_of_the_metrics_are_left_out_with_a_word(tmp_path, capsys):
+    metrics = tmp_path / "metrics.csv"
+    metrics.write_bytes(b"step,loss\n5,1.0\n\xb10,0.5\n15,0.4\n20,0.3\n25,0.")
+    assert _drop_rows_after(metrics, 15) == ["step", "loss"]
+    assert metrics.read_bytes() == b"step,loss\n5,1.0\n15,0.4\n"
+    assert capsys.readouterr().err == f"{metrics} has 1 damaged rows; they are left out\n"

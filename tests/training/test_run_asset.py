@@ -176,3 +176,18 @@ def test_a_mask_of_damage_is_kept_with_the_mesh(tmp_path):
     assert source.fill == "fill/mask.png"
     assert source.files[source.fill] == (tmp_path / "mask.png").read_bytes()
     assert fill_in(run, surface).exists() and source_of(run, Surface(path=path), asset).fill is None
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda content: content[:-9], lambda content: content.replace(b"99", b"98", 1)]
+)
+def test_a_damaged_copy_is_made_again_with_a_word(tmp_path, capsys, damage):
+    surface, run = Surface(path=str(ply_colors(tmp_path / "own"))), Run(tmp_path / "run")
+    asset = read_source(surface)
+    copy = keep(asset, run, surface)
+    assert not capsys.readouterr().err and keep(asset, run, surface).digest == asset.digest
+    before = copy.path.read_bytes()
+    copy.path.write_bytes(damage(before))
+    assert keep(asset, run, surface).digest == asset.digest and copy.path.read_bytes() == before
+    told = capsys.readouterr().err
+    assert told == f"{copy.path} is not what was copied there; it is copied again\n"
