@@ -13,10 +13,6 @@ if os.name != "posix":  # what these are about is signals, process groups and pi
 CACHE = Path(__file__).parent.parent / ".pytest_cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
-# Most programs of the tests run once or twice: compiling them fast saves more than running them fast.
-os.environ.setdefault(
-    "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-)
 
 settings.register_profile(
     "flx", deadline=None, derandomize=True, max_examples=20, suppress_health_check=[HealthCheck.too_slow]

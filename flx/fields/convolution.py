@@ -158,6 +158,7 @@ def _ring_sums(
     return jax.lax.scan(one, None, (kappa, _powers(x, len(kappa))))[1]
 
 
+@jax.jit  # traced once for all sums of a shape
 def _gathered_sum(
     index: Int[Array, "V K"], kappa: Complex[Array, "V K"], y: Complex[Array, "Q C"]
 ) -> Complex[Array, "V C"]:

@@ -74,6 +74,7 @@ def ring_sums(rings: Stencils, fields: tuple[Float[Array, "V C2"], ...]) -> tupl
     return jax.lax.optimization_barrier(sums)
 
 
+@jax.jit  # traced once for all sums of a shape, which are many: their tracing took a third of a program's
 def _ring_sum(
     neighbors: Int[Array, "V K"], coefficients: Complex[Array, "V K"], x: Float[Array, "V C2"]
 ) -> Float[Array, "V C2"]:

@@ -20,7 +20,7 @@ from flx.geometry.tables import mesh_tables
 from flx.models.denoiser.depth import complete
 from flx.models.denoiser.unet import schedule
 from flx.pipeline.codec import load_codec
-from flx.pipeline.generator import Generator, Home, Source, learnt_generator, network_of
+from flx.pipeline.generator import Generator, Home, Source, learnt_generator, parameter_shapes
 from flx.pipeline.labels import Labels, read_labels
 from flx.types import MeshTables, Triangulation
 
@@ -59,11 +59,7 @@ def ball_generator(folder: Path, labelled: bool = False, direction: str = "") ->
     model = complete(small, codec.config, 162, 3 * labelled, int(bool(direction)))
     experiment = FLDMExperiment(model=model, surface=surface, weights="/home/anna/secret/codec.safetensors")
     tables = mesh_tables(sphere)
-    z = jnp.zeros((162, 8), jnp.complex64)
-    rho = jnp.zeros((162, 3)) if labelled else None
-    way = jnp.zeros((162, 1), jnp.complex64) if direction else None
-    params = jax.jit(network_of(model).init)(jax.random.key(1), tables, z, jnp.float32(1), rho, way)
-    params = jax.tree.map(lambda p: p + 0.1 * jnp.cos(jnp.arange(p.size).reshape(p.shape)), params)
+    params = drawn_parameters(parameter_shapes(model, tables))
     scaling = Scaling(np.arange(8).astype(np.complex64), np.full(8, 2 - 1j, np.complex64))
     files = {"files/ball.ply": colored_sphere()}
     labels, place = None, None
@@ -78,6 +74,19 @@ def ball_generator(folder: Path, labelled: bool = False, direction: str = "") ->
     field = field_on(direction, sphere) if direction else None
     rest = Home(sphere, tables), source, 7, labels, field
     return learnt_generator(experiment, params, scaling, codec, *rest)
+
+
+def drawn_parameters(shapes: Any) -> Any:
+    """Parameters of a network as it might have learnt them; to initialise it would be to compile it."""
+    rng = np.random.default_rng(1)
+
+    def drawn(path: tuple, shape: jax.ShapeDtypeStruct) -> jax.Array:
+        noise = rng.normal(size=shape.shape)
+        if path[-1].key == "kernel":
+            return jnp.asarray(1.2 * noise / np.sqrt(2 * shape.shape[-2]), shape.dtype)
+        return jnp.asarray({"scale": 1, "size": 0.3}.get(path[-1].key, 0) + 0.1 * noise, shape.dtype)
+
+    return jax.tree.map_with_path(drawn, shapes)
 
 
 def textured_ball() -> Asset:
