@@ -7,7 +7,7 @@ A mask is an image as large as the texture, here 4096², and white where it shou
 knows nothing of it: inpainting is an option of sampling. Where the texture itself is damaged, train with
 `--surface.fill MASK.png` as well, so that the damage is not learnt.
 
-Training is as long as that of the demo, about 11 minutes on two CPU cores. A sample takes twice the steps of
+Training is as long as that of the demo, about 8 minutes on two CPU cores. A sample takes twice the steps of
 a plain one. Expect no visible border: `border_ratios` in samples.json near 1, as on the demo's vase. On the
 bowl neither has been measured.
 """

@@ -151,7 +151,7 @@ def drawn_codes(
 ) -> Complex64[np.ndarray, "*B D"]:
     """z = μ + σ ε: `spreads` are σ of the real part and, as the imaginary part, that of the imaginary one."""
     ahead, up = rng.standard_normal((2, *means.shape), np.float32)
-    return (means + spreads.real * ahead + 1j * (spreads.imag * up)).astype(np.complex64)
+    return (means + np.real(spreads) * ahead + 1j * (np.imag(spreads) * up)).astype(np.complex64)
 
 
 class Copies(NamedTuple):
