@@ -265,10 +265,10 @@ def quick(path: str | Path = "", name: str = "demo") -> FLDMExperiment:
         path: The mesh file; the embedded vase unless given.
         name: The name of the run's folder.
 
-    In 1,000 steps the network learns details; motifs come from pieces of the input. For samples of the network
-    alone (`flx sample --invention 1`) take 2,400 or more. Velocities and Muon learn more than the paper's noise
-    and Adam in so few steps (docs/paper.md). 48 channels where the paper has 96: what two cores can train in
-    minutes. float32: bfloat16 is faster only on CPUs with AMX.
+    In 1,000 steps the network learns details; motifs come from pieces of the input. Samples of the network
+    alone (`flx sample --invention 1`) need 2,400 or more. Velocities and Muon learn more than the paper's
+    noise and Adam in so few steps (docs/paper.md). 48 channels where the paper has 96: what two cores can
+    train in minutes. float32: bfloat16 is faster only on CPUs with AMX.
 
     Example:
         flx.train(flx.quick("bowl.glb", name="bowl"))
