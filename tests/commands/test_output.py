@@ -102,8 +102,7 @@ def generator(tmp_path, monkeypatch) -> SimpleNamespace:
     made = SimpleNamespace(params={}, alphas=schedule, step=5, **rest)
     monkeypatch.setattr("flx.training.load.load_generator", lambda _: made)
     monkeypatch.setattr("flx.pipeline.variations.generate", lambda g, n, *_: iter([own_painting(asset)] * n))
-    monkeypatch.setattr("flx.pipeline.variations.check_labels", lambda *_: None)
-    monkeypatch.setattr("flx.pipeline.variations.check_direction", lambda *_: None)
+    monkeypatch.setattr("flx.pipeline.variations.check_controls", lambda *_: None)
     monkeypatch.setattr("flx.pipeline.transfer.vertex_count", lambda *_: 4)
     (tmp_path / "run").mkdir()
     return made

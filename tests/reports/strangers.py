@@ -11,6 +11,7 @@ import http.client
 import io
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -218,7 +219,7 @@ CASES = [
     Case("labels: cut off", LABELLED, "cut off|too short", put("l.ply", labelled_sphere()[:-400])),
     Case("labels: an OBJ", LABELLED.replace("l.ply", "a.obj"), "other files"),
     Case("labels: an image without coordinates", LABELLED.replace("l.ply", "m.png"), "no texture coordinates", put("m.png", picture(4, 4))),
-    Case("labels: NaN", LABELLED, "not finite", put("l.ply", labelled_sphere().replace(b"-0.5", b"nan", 1))),
+    Case("labels: NaN", LABELLED, "not finite", put("l.ply", re.sub(rb"\n-0\.\d+ ", b"\nnan ", labelled_sphere(), count=1))),
     Case("labels: of a run without", f"{FILE} --labels ball.ply", "learnt no labels"),
     Case("guidance: of a run without", f"{FILE} --guidance 2", "learnt no labels"),
     Case("guidance: NaN", f"{LABELLED.rsplit(' --labels', 1)[0]} --guidance nan", "guidance"),
