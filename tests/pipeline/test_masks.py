@@ -8,7 +8,7 @@ from pipeline.test_inpainting import ASSET, HALF, SHAPE, TEXTURE
 from pipeline.test_instant import BALL, SMALL
 
 from flx.assets.asset import Asset
-from flx.config import Surface
+from flx.config import FLDM, Surface
 from flx.geometry.remesh.remesh import remesh
 from flx.geometry.sampling import surface_colors, transfer
 from flx.geometry.tables import mesh_tables
@@ -53,8 +53,9 @@ def test_codes_and_their_scaling_do_not_tell_what_damage_looks_like(tmp_path):
     found = []
     for name, asset in (("one", ASSET), ("two", repainted(ASSET, ~BLOT))):
         kept = Kept(asset.mesh.textures[0], 0, BLOT)
-        rules = surface, codec, 0.0, None, None, kept, 1
-        (_, codes, _, _, masses), scaling, *_ = load_copies(Run(tmp_path / name), asset, *rules)
+        rules = surface, codec, FLDM(), None, None, kept, 1
+        copies, scaling, *_ = load_copies(Run(tmp_path / name), asset, *rules)
+        codes, masses = copies.latents, copies.masses
         assert masses is not None and 2 < (masses == 0).sum() < 80
         found.append((codes, masses, scaling.shift, scaling.scale))
         # Of the intact vertices alone: their vectors are as large as noise.
