@@ -3,7 +3,6 @@
 import os
 import sys
 import threading
-import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -48,7 +47,7 @@ def paint(options: Paint) -> None:
     Raises ValueError where the mesh cannot be painted so, or a file is there that would be replaced.
     """
     from flx.stopping import keeping
-    from flx.viewer.server import Loopback
+    from flx.viewer.server import open_browser, serving
 
     painter = opened(options)
     for note in painter.notes:
@@ -59,15 +58,15 @@ def paint(options: Paint) -> None:
         finished.set()
         return "text/plain; charset=utf-8", b"finished"
 
-    server = Loopback({**painter.answers(), ("POST", "finish"): finish}, painter.most)
     keeping(lambda: _said(options, painter))
-    threading.Thread(target=server.serve_forever, daemon=True, name="server").start()
-    print(f"flx: paint at {server.url}\nflx: Save and finish there, or Ctrl-C here, ends it", file=sys.stderr)
-    if options.browser and not webbrowser.open(server.url):
-        print("flx: no browser could be opened; open the address yourself", file=sys.stderr)
-    finished.wait()
-    server.shutdown()
-    server.server_close()
+    with serving({**painter.answers(), ("POST", "finish"): finish}, painter.most) as server:
+        print(
+            f"flx: paint at {server.url}\nflx: Save and finish there, or Ctrl-C here, ends it",
+            file=sys.stderr,
+        )
+        if options.browser:
+            open_browser(server)
+        finished.wait()
     print(f"flx: {_said(options, painter)}", file=sys.stderr)
     print(painter.out)
 

@@ -2,7 +2,6 @@
 
 import sys
 import threading
-import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,20 +30,19 @@ class Watch:
 def serve(options: Watch, finished: threading.Event) -> None:
     """Serve the page until `finished`. Raises ValueError where the folder is not the run of an FLDM."""
     from flx.stopping import keeping
-    from flx.viewer.server import Loopback
+    from flx.viewer.server import open_browser, serving
 
     page = watched(options.run)
-    server = Loopback(page.answers(), page.most)
     keeping(lambda: "the page has ended; a training goes on without it")
-    threading.Thread(target=server.serve_forever, daemon=True, name="server").start()
-    print(f"flx: watch {options.run} at {server.url}\nflx: Ctrl-C here ends the page alone", file=sys.stderr)
-    if options.browser and not webbrowser.open(server.url):
-        print("flx: no browser could be opened; open the address yourself", file=sys.stderr)
-    if options.previews:
-        page.make_previews(finished)
-    finished.wait()
-    server.shutdown()
-    server.server_close()
+    with serving(page.answers(), page.most) as server:
+        print(
+            f"flx: watch {options.run} at {server.url}\nflx: Ctrl-C here ends the page alone", file=sys.stderr
+        )
+        if options.browser:
+            open_browser(server)
+        if options.previews:
+            page.make_previews(finished)
+        finished.wait()
 
 
 def watched(folder: Path) -> "Watched":

@@ -130,17 +130,20 @@ def html(
     scripts: Sequence[str],
     title: str,
     data: Mapping[str, Any],
+    served: bool = False,
 ) -> bytes:
     """A page with its styles, libraries, own scripts (as one) and data inside it; by their hashes these are
-    the only scripts that may run."""
-    names = (name, *styles, *libraries, *scripts)
+    the only scripts that may run. Only a page that is `served` may ask its server."""
+    names = ("frame.html", name, *styles, *libraries, *scripts)
     read = {one: (files("flx.viewer") / one).read_text("utf-8") for one in names}
     running = [*(read[one] for one in libraries), "".join(read[one] for one in scripts)]
     hashes = (_base64(hashlib.sha256(script.encode()).digest()) for script in running)
     # In a script element only "<" could end it, or begin a comment.
     text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    filled = Template(read[name]).substitute(
+    filled = Template(read["frame.html"]).substitute(
         title=escape(title),
+        connections=" connect-src 'self';" if served else "",
+        body=Template(read[name]).substitute(title=escape(title)),
         hashes=" ".join(f"'sha256-{one}'" for one in hashes),
         style="".join(read[style] for style in styles),
         scripts="\n".join(f"<script>{script}</script>" for script in running),

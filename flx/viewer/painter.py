@@ -81,7 +81,9 @@ class Painter:
     def _page(self) -> bytes:
         libraries, scripts = ("three.min.js", "three-mesh-bvh.min.js"), ("camera.js", "painter.js")
         title = f"{self.asset.path.name} – {self.mode}"
-        return html("painter.html", ("page.css", "painter.css"), libraries, scripts, title=title, data={})
+        return html(
+            "painter.html", ("page.css", "painter.css"), libraries, scripts, title=title, data={}, served=True
+        )
 
     def data(self) -> dict[str, Any]:
         """The mesh, as JSON holds it: positions from −1 to 1, and `scale` and `offset` back to the file's."""

@@ -5,10 +5,12 @@ request that there is. `Host` and `Origin` are checked, so that no page of anoth
 whose name leads here.
 """
 
+import contextlib
 import secrets
 import sys
 import threading
-from collections.abc import Callable, Mapping
+import webbrowser
+from collections.abc import Callable, Iterator, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -54,6 +56,24 @@ class Loopback(ThreadingHTTPServer):
         """A browser that went away is no news."""
         if not isinstance(sys.exc_info()[1], ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
+
+
+@contextlib.contextmanager
+def serving(answers: Answers, most: int) -> Iterator[Loopback]:
+    """A server that answers, in a thread of its own, while open."""
+    server = Loopback(answers, most)
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+    try:
+        yield server
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def open_browser(server: Loopback) -> None:
+    """Open the page in the browser; where there is none, say so."""
+    if not webbrowser.open(server.url):
+        print("flx: no browser could be opened; open the address yourself", file=sys.stderr)
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -18,7 +18,7 @@ from jaxtyping import UInt8
 
 from flx.files import write_atomically
 from flx.machine import yield_to_others
-from flx.pipeline.workers import in_order, in_processes
+from flx.pipeline.workers import in_processes
 from flx.viewer.page import html
 from flx.viewer.server import Answer, Answers
 
@@ -71,7 +71,7 @@ class Watched:
                 continue
             task = (str(self.generator), str(self.previews), self.up)
             try:
-                list(in_order(in_processes(preview, (), [task], 1)))
+                list(in_processes(preview, (), [task], 1))
                 self.trouble = ""
             except (ValueError, OSError) as fault:  # the generator is of another version, the disk is full
                 self.trouble = " ".join(str(fault).split())
@@ -85,7 +85,7 @@ class Watched:
 
     def _page(self) -> bytes:
         libraries, styles = ("uplot.min.js",), ("page.css", "uplot.min.css", "watch.css")
-        return html("watch.html", styles, libraries, ("watch.js",), title=self.name, data={})
+        return html("watch.html", styles, libraries, ("watch.js",), title=self.name, data={}, served=True)
 
 
 def curves(metrics: Path) -> dict[str, list[float | None]]:

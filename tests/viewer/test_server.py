@@ -1,12 +1,11 @@
 """Laws of the server: it answers its own page alone, and serves no file by its name."""
 
 import http.client
-import threading
 from collections.abc import Iterator
 
 import pytest
 
-from flx.viewer.server import Loopback
+from flx.viewer.server import Loopback, serving
 
 
 def echo(body: bytes) -> tuple[str, bytes]:
@@ -17,11 +16,8 @@ def echo(body: bytes) -> tuple[str, bytes]:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Loopback]:
-    served = Loopback({("GET", ""): lambda _: ("text/html", b"page"), ("POST", "save"): echo}, most=100)
-    threading.Thread(target=served.serve_forever, daemon=True).start()
-    yield served
-    served.shutdown()
-    served.server_close()
+    with serving({("GET", ""): lambda _: ("text/html", b"page"), ("POST", "save"): echo}, most=100) as served:
+        yield served
 
 
 def asked(server: Loopback, method: str, path: str, body: bytes | None = None, **headers: str):

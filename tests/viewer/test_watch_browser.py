@@ -1,13 +1,12 @@
 """The page of a training in Debian's Chromium. Skipped, with a reason, without a browser."""
 
-import threading
 from collections.abc import Iterator
 
 import pytest
 from helpers.browser import NEEDED, playwright
 from PIL import Image
 
-from flx.viewer.server import Loopback
+from flx.viewer.server import serving
 from flx.viewer.watch import Watched
 
 pytestmark = NEEDED
@@ -20,11 +19,8 @@ def watched(tmp_path) -> Iterator[tuple[Watched, str]]:
     run.metrics.write_text("step,loss\n50,0.9\n100,0.7\n")
     for step, color in ((50, (200, 0, 0)), (100, (0, 200, 0))):
         Image.new("RGB", (60, 40), color).save(run.previews / f"{step}.jpg")
-    server = Loopback(run.answers(), run.most)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield run, server.url
-    server.shutdown()
-    server.server_close()
+    with serving(run.answers(), run.most) as server:
+        yield run, server.url
 
 
 def test_curves_are_drawn_and_previews_are_turned_to(browser, watched):
