@@ -21,8 +21,7 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _clear_torn(path.parent)
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder, and a file should be there; delete it")
+    refuse_folder(path)
     torn = path.with_name(f"{TORN}{os.getpid()}.{path.name[-50:]}")  # a name has at most 255 bytes
     _leftovers.add(torn)
     try:
@@ -37,6 +36,12 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], Any]) -> None
     finally:
         torn.unlink(missing_ok=True)
         _leftovers.discard(torn)
+
+
+def refuse_folder(path: Path) -> None:
+    """Raises IsADirectoryError for a folder in the place of a file, which nobody but its owner may delete."""
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder, and a file should be there; delete it")
 
 
 def check_place(path: Path, remedy: str = "name another folder with --out") -> None:

@@ -43,9 +43,11 @@ class Codec(NamedTuple):
             raise ValueError(f"rings have shape {shape}; give {wanted} samples each, as flx.triangulate does")
         return _in_chunks(partial(_mean_code, self.config), self.params, rings, RINGS)
 
-    def deviations(self, rings: RingSamples) -> Float32[np.ndarray, "V D"]:
-        """σ of the code of each one-ring, that of both its coordinates; `encode` gives its mean."""
-        return _in_chunks(partial(_deviations, self.config), self.params, rings, RINGS)
+    def posterior(
+        self, rings: RingSamples
+    ) -> tuple[Complex64[np.ndarray, "V D"], Float32[np.ndarray, "V D"]]:
+        """The code of each one-ring as `encode` gives it, its mean, and σ of both its coordinates."""
+        return _in_chunks(partial(_mean_and_deviation, self.config), self.params, rings, RINGS)
 
     def decode(self, queries: Queries, z: Complex64[Any, "V D"]) -> Float32[np.ndarray, "P 3"]:
         """Colours in [0, 1]: what the corners of each face predict, blended."""
@@ -93,9 +95,9 @@ def _mean_code(config: FLVAE, params: Any, chunk: RingSamples) -> jax.Array:
 
 
 @partial(jax.jit, static_argnums=0)
-def _deviations(config: FLVAE, params: Any, chunk: RingSamples) -> jax.Array:
+def _mean_and_deviation(config: FLVAE, params: Any, chunk: RingSamples) -> tuple[jax.Array, jax.Array]:
     posterior: Any = FieldLatentVAE(config).apply(params, chunk, method="encode")
-    return jnp.exp(posterior.log_sigma)
+    return posterior.mean, jnp.exp(posterior.log_sigma)
 
 
 @partial(jax.jit, static_argnums=0)

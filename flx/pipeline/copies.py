@@ -14,7 +14,7 @@ from tqdm import tqdm
 from flx.arguments import whole
 from flx.assets.asset import Asset, check_asset
 from flx.config import Surface
-from flx.files import write_atomically
+from flx.files import refuse_folder, write_atomically
 from flx.geometry import copies
 from flx.geometry.atlas import check_repeats, with_filled_gutters
 from flx.pipeline.codec import Codec
@@ -132,8 +132,7 @@ def prepare(
     with contextlib.closing(made), contextlib.closing(bar):
         try:
             for seed, copy in bar:
-                deviations = codec.deviations(copy.rings) if cache.drawn else None
-                codes = codec.encode(copy.rings), deviations
+                codes = codec.posterior(copy.rings) if cache.drawn else (codec.encode(copy.rings), None)
                 prepared = Prepared(copy.triangulation, copy.tables, *codes)
                 cache.save(seed, prepared)
                 copies[seed] = prepared
@@ -179,8 +178,7 @@ def _arrays(path: Path, what: str) -> Iterator[Any]:
 
     Each array in it has a checksum. Raises IsADirectoryError for a folder, which cannot be made again.
     """
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder, and a file should be there; delete it")
+    refuse_folder(path)
     try:
         with np.load(path, allow_pickle=False) as file:
             yield file
