@@ -184,7 +184,7 @@ class Generator:
     def intact(self) -> Kept | None:
         """What is intact of the asset's texture, None where no damage was marked."""
         name = self.source.fill
-        return read_damage(Path(self._folder.name, name), self.asset) if name else None
+        return read_damage(inside(Path(self._folder.name), name), self.asset) if name else None
 
     @cached_property
     def asset(self) -> Asset:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.generators import ball_generator
 from helpers.surfaces import icosphere
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -224,3 +225,11 @@ def test_noise_is_what_sampling_starts_from(generator):
 class Silent:
     def __call__(self, params, tables, z, t):
         return 0 * z
+
+
+@pytest.mark.parametrize("part", ["labels", "fill"])
+def test_what_leads_out_of_the_files_of_a_generator_is_refused(tmp_path, part):
+    made = ball_generator(tmp_path, labelled=True)
+    strange = dataclasses.replace(made, source=made.source._replace(**{part: "../../etc/hosts"}))
+    with pytest.raises(ValueError, match="outside"):
+        _ = strange.labelled if part == "labels" else strange.intact
