@@ -246,9 +246,8 @@ class Comparison:
     """What `flx evaluate --reconstruction` measures."""
 
     reconstruction: tuple[str, ...] = ()  # textures to send: MESH, MESH:TEXTURE, or an image as a sheet
-    out: Path | None = (
-        None  # folder to write to; RUN/evaluation unless given, or `evaluation` (and what is not as usual)
-    )
+    # folder to write to; RUN/evaluation unless given, or `evaluation`, with what is not as usual in its name
+    out: Path | None = None
     vertices: tuple[int, ...] = (30_000, 5_000)  # of the triangulations; one row each
     methods: tuple[Compared, ...] = get_args(Compared)  # which methods to measure
     images: Path | None = None  # folder of images to fit pca and frame_pca to; skipped without it

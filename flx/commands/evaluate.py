@@ -1,6 +1,5 @@
 """`flx evaluate`: how good samples are, or how well each method keeps the textures of some meshes."""
 
-import hashlib
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -9,7 +8,7 @@ import numpy as np
 from tqdm import tqdm
 from tyro.conf import Positional
 
-from flx.commands.output import own_folder, settings
+from flx.commands.output import digest, digests, own_folder, settings
 from flx.commands.stages import Stages
 from flx.config import STEPS, Comparison, Sampler
 from flx.controls import Controls, Patches
@@ -104,7 +103,8 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         "invention": None if options.instant else Controls(invention=options.invention).invented,
         "asset": asset.digest[:12],
         "generator": digest_of(generator.params)[:12] if generator else None,
-        "digests": [hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in options.samples],
+        "digests": [digest(path) for path in options.samples],
+        **digests({"labels": options.labels, "input_labels": options.input_labels}),
     }
     usual = home / ("evaluation-instant" if options.instant else "evaluation")
     also = f"step-{generator.step}" if generator else asset.digest[:8]

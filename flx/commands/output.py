@@ -4,9 +4,10 @@ A JSON record in the folder says what made its files. The same call writes the s
 gets a folder of its own, named after the options that are not the usual ones.
 """
 
+import hashlib
 import json
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -20,6 +21,16 @@ APART = ("run", "out", "count", "up", "viewer", "instant")  # options on which n
 def settings(options: Any, apart: Collection[str] = APART) -> dict[str, Any]:
     """The options that the files of a call depend on, as JSON holds them; not its input, which has none."""
     return {name: value for name, value, _ in _set(options, apart)}
+
+
+def digests(files: Mapping[str, Path | None]) -> dict[str, str]:
+    """What the files that options name hold, by the names of the options: other content is another call."""
+    return {f"{name}_digest": digest(path) for name, path in files.items() if path}
+
+
+def digest(path: Path) -> str:
+    """Of what a file holds: the start of its SHA-256."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
 
 
 def own_folder(

@@ -1,6 +1,5 @@
 """`flx sample`: new textures from a trained generator."""
 
-import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from flx.arguments import whole
 from flx.assets.asset import Asset, Format, Painting
-from flx.commands.output import own_folder, settings
+from flx.commands.output import digests, own_folder, settings
 from flx.commands.stages import Stages
 from flx.config import STEPS, Sampler
 from flx.controls import Controls, Patches
@@ -103,11 +102,7 @@ def sample(options: Sample) -> Path:
     made_by = {
         **{name: value for name, value in settings(options).items() if name not in unused},
         **plan.made_by,
-        **{
-            f"{name}_digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-            for name, path in {**read, "texture": options.texture}.items()
-            if path
-        },
+        **digests({**read, "texture": options.texture}),
     }
     titles = [f"variation {n:02d}" for n in range(options.count)]
     stems = ["variants"] if options.variants else [title.replace(" ", "_") for title in titles]
