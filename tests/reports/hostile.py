@@ -45,6 +45,7 @@ from helpers.files import (
     special,
     symlink,
 )
+from reports.measure import forget_peak, peak_megabytes
 
 from flx.launch import main
 
@@ -409,8 +410,7 @@ def run(build: Build) -> Outcome:
         path = build(folder)
         before = sorted(os.listdir(folder)), sorted(os.listdir(folder.parent))
         _watched.clear()
-        with contextlib.suppress(OSError):  # Linux only
-            Path("/proc/self/clear_refs").write_text("5")  # forget the peak
+        forget_peak()
         said, told, start = io.StringIO(), io.StringIO(), time.process_time()
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
             signal.alarm(60)
@@ -424,14 +424,10 @@ def run(build: Build) -> Outcome:
         seconds = time.process_time() - start
         strangers = [w for w in _watched if not w.startswith(str(folder)) and not _is_ours(w)]
         after = sorted(os.listdir(folder)), sorted(os.listdir(folder.parent))
-        status_file = Path("/proc/self/status")
-        memory = status_file.read_text().splitlines() if status_file.exists() else ["VmHWM: 0 kB"]
-        peak = next(line for line in memory if line.startswith("VmHWM"))
+        peak = peak_megabytes()
         lines = told.getvalue().replace(str(folder) + "/", "").splitlines()
         written = [name for a, b in zip(before, after, strict=True) for name in set(b) - set(a)]
-        return Outcome(
-            status, lines, said.getvalue(), seconds, int(peak.split()[1]) / 1024, written, strangers
-        )
+        return Outcome(status, lines, said.getvalue(), seconds, peak, written, strangers)
 
 
 _watched: list[str] = []

@@ -16,7 +16,6 @@ import resource
 import shutil
 import signal
 import sys
-import threading
 import time
 import zlib
 from collections.abc import Callable
@@ -32,6 +31,7 @@ sys.path.append(str(Path(__file__).parents[1]))  # a script finds what lies besi
 from helpers.files import obj, png, png_bomb
 from helpers.generators import colored_sphere, labelled_sphere
 from helpers.surfaces import icosphere
+from reports.measure import forget_peak, peak_megabytes
 
 import flx.pipeline.generator
 from flx.assets.read import read_asset
@@ -48,7 +48,7 @@ from flx.pipeline.weights import RELEASED
 from flx.training.run import open_run
 from flx.types import Triangulation
 from flx.viewer.painter import StrokePainter, TexelPainter
-from flx.viewer.server import Loopback
+from flx.viewer.server import serving
 
 Make = Callable[[Path], object]  # makes what is hostile in a folder that holds what is good
 
@@ -420,8 +420,7 @@ def good_folder(folder: Path) -> None:
 
 def measured(work: Callable[[], tuple[int, list[str]]], folder: Path) -> Outcome:
     before = {path.relative_to(folder) for path in folder.rglob("*")}
-    with contextlib.suppress(OSError):  # Linux only
-        Path("/proc/self/clear_refs").write_text("5")  # forget the peak
+    forget_peak()
     start = time.process_time()
     signal.alarm(30)
     try:
@@ -430,13 +429,10 @@ def measured(work: Callable[[], tuple[int, list[str]]], folder: Path) -> Outcome
         status, lines = -1, [f"{type(uncaught).__name__}: {uncaught}"[:300]]
     signal.alarm(0)
     seconds = time.process_time() - start
-    status_file = Path("/proc/self/status")
-    peak = status_file.read_text().split("VmHWM:")[1].split()[0] if status_file.exists() else "0"
+    peak = peak_megabytes()
     left = {path.relative_to(folder) for path in folder.rglob("*")} - before
     ours = (".lock", ".trainer")  # of the run
-    return Outcome(
-        status, lines, seconds, int(peak) / 1024, sorted(map(str, left - {Path("run", n) for n in ours}))
-    )
+    return Outcome(status, lines, seconds, peak, sorted(map(str, left - {Path("run", n) for n in ours})))
 
 
 def run_case(case: Case, good: Path, folder: Path) -> Outcome:
@@ -463,18 +459,16 @@ def run_request(request: Request, good: Path, folder: Path) -> Outcome:
         painter = StrokePainter(asset, folder / "x.json")
     else:
         painter = TexelPainter(asset, folder / "x.png", request.mode, (4, 4))  # pyright: ignore
-    server = Loopback(painter.answers(), painter.most)
-    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+    with serving(painter.answers(), painter.most) as server:
 
-    def work() -> tuple[int, list[str]]:
-        link = http.client.HTTPConnection(server.host, timeout=10)
-        headers = {"Origin": f"http://{server.host}", **dict(request.headers)}
-        link.request("POST", f"/{server.secret}/{request.answer}", request.body, headers)
-        answer = link.getresponse()
-        return answer.status, answer.read().decode().splitlines()
+        def work() -> tuple[int, list[str]]:
+            link = http.client.HTTPConnection(server.host, timeout=10)
+            headers = {"Origin": f"http://{server.host}", **dict(request.headers)}
+            link.request("POST", f"/{server.secret}/{request.answer}", request.body, headers)
+            answer = link.getresponse()
+            return answer.status, answer.read().decode().splitlines()
 
-    outcome = measured(work, folder)
-    server.shutdown(), server.server_close()
+        outcome = measured(work, folder)
     shutil.rmtree(folder)
     return outcome
 

@@ -1,6 +1,5 @@
 """Laws of bad input: refused in one line with status 2, soon, in little memory; nothing written or called."""
 
-import json
 import re
 import subprocess
 import sys
@@ -8,15 +7,13 @@ from pathlib import Path
 
 import pytest
 from reports.hostile import CASES, GOOD, HEAVY, Case, Outcome
+from reports.measure import table_of
 
 
 @pytest.fixture(scope="module")
 def outcomes() -> dict[str, Outcome]:
     """What `flx doctor` did with every case, in one process of its own: its memory is measured."""
-    script = Path(__file__).parent / "hostile.py"
-    done = subprocess.run([sys.executable, script, "--json"], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return {name: Outcome(**row) for name, row in json.loads(done.stdout).items()}
+    return table_of("hostile.py", Outcome, timeout=300)
 
 
 @pytest.mark.slow

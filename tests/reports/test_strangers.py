@@ -1,13 +1,10 @@
 """Laws of what strangers hand to the verbs: one line, soon, in little memory; nothing written."""
 
-import json
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from reports.hostile import CASES as FILES
+from reports.measure import table_of
 from reports.strangers import CASES, REQUESTS, Case, Outcome, Request
 
 pytestmark = pytest.mark.slow
@@ -16,10 +13,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def outcomes() -> dict[str, Outcome]:
     """All of them in one process of its own: its memory is measured."""
-    script = Path(__file__).parent / "strangers.py"
-    done = subprocess.run([sys.executable, script, "--json"], capture_output=True, text=True, timeout=400)
-    assert done.returncode == 0, done.stderr
-    return {name: Outcome(**row) for name, row in json.loads(done.stdout).items()}
+    return table_of("strangers.py", Outcome, timeout=400)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
