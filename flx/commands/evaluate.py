@@ -97,6 +97,10 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         )
     else:
         asset = read_asset(source) if source else vase_asset()
+    count = max(len(generator.home.triangulation.vertices), LEAST) if generator else Patches().vertices
+    patches, asked, unguided = Patches(vertices=count, input_labels=options.input_labels), None, {}
+    if not samples:
+        asked = asked_labels(generator and generator.labelled, asset, patches, options.labels)
     made_by = {
         **settings(options, APART),
         "instant": options.instant,
@@ -111,8 +115,6 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     out, _ = own_folder(options, usual, also, "evaluation.json", made_by, ["evaluation.html"], APART)
     if generator and not samples:
         others["codec"] = shown(asset, reconstruct(generator, size))
-    count = max(len(generator.home.triangulation.vertices), LEAST) if generator else Patches().vertices
-    patches = Patches(vertices=count, input_labels=options.input_labels)
 
     def variations(guidance: float) -> dict[str, TexturedMesh]:
         how = Controls(invention=options.invention, labels=options.labels, guidance=guidance)
@@ -127,9 +129,7 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         made = tqdm(made, "variations", options.count, dynamic_ncols=True)
         return {f"sample {n}": shown(asset, painting) for n, painting in enumerate(made)}
 
-    asked, unguided = None, {}
     if not samples:
-        asked = asked_labels(generator and generator.labelled, asset, patches, options.labels)
         stage(f"making {options.count} variations" + ", and as many without labels" * (asked is not None))
         samples, unguided = variations(1.0), variations(0.0) if asked else {}
     others |= controls(asset.mesh, options.seed)

@@ -120,6 +120,22 @@ def test_no_evaluation_replaces_another(tmp_path, monkeypatch, made):
     assert len([*tmp_path.glob("**/evaluation.html")]) == 8
 
 
+def test_an_evaluation_by_labels_that_were_painted_over_is_another(tmp_path, monkeypatch, made):
+    monkeypatch.setattr("flx.pipeline.layout.asked_labels", lambda *_: None)
+    monkeypatch.chdir(tmp_path)
+    for content in (b"one", b"two", b"two"):
+        (tmp_path / "zones.png").write_bytes(content)
+        Evaluate(source=Path("run"), labels=Path("zones.png"))()
+    assert len([*tmp_path.glob("**/evaluation.html")]) == 2
+
+
+def test_labels_that_are_not_there_are_named_before_anything_is_made(tmp_path, monkeypatch, made):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="labels none.png do not exist"):
+        Evaluate(source=Path("run"), labels=Path("none.png"))()
+    assert not made
+
+
 def test_samples_without_a_network_have_no_other_source(tmp_path):
     for more in ({"samples": (tmp_path / "a.glb",)}, {"invention": 0.5}):
         with pytest.raises(ValueError) as refusal:
