@@ -131,7 +131,7 @@ def test_an_evaluation_by_labels_that_were_painted_over_is_another(tmp_path, mon
 
 def test_labels_that_are_not_there_are_named_before_anything_is_made(tmp_path, monkeypatch, made):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ValueError, match="labels none.png do not exist"):
+    with pytest.raises(ValueError, match=r"labels none\.png do not exist"):
         Evaluate(source=Path("run"), labels=Path("none.png"))()
     assert not made
 
