@@ -65,7 +65,7 @@ class Checkpoints:
         found, faults = self._found(), []
         for step in sorted(found, reverse=True):
             try:
-                tensors = _read(found[step], step, template)
+                tensors = _read(found[step], step)
             except ValueError as fault:
                 faults.append(f"{found[step]} is damaged ({fault})")
                 continue
@@ -108,13 +108,10 @@ def _shaped(tensors: Tensors, template: Any, path: Path) -> Any:
     return jax.tree.unflatten(jax.tree.structure(template), [tensors[name] for name in wanted])
 
 
-def _read(path: Path, step: int, template: Any) -> Tensors:
+def _read(path: Path, step: int) -> Tensors:
     """Raises ValueError, with a reason in one line, for a damaged checkpoint."""
     try:
         with ocp.StandardCheckpointer() as reader:
-            if not (path / DIGEST).exists():  # an earlier version saved the state as a tree
-                host = jax.tree.map(lambda x: np.empty(x.shape, x.dtype), template)
-                return _named(reader.restore((path / STATE).absolute(), host))
             there: Any = reader.metadata((path / STATE).absolute()).item_metadata
             host = {name: np.empty(leaf.shape, leaf.dtype) for name, leaf in there.tree.items()}
             tensors: Tensors = reader.restore((path / STATE).absolute(), host)

@@ -38,7 +38,7 @@ from flx.pipeline.labels import Labels, in_words, read_labels
 from flx.pipeline.masks import Kept, intact_masses, read_damage, without_damage
 from flx.stopping import keeping
 from flx.training.log import say
-from flx.training.loop import LossFn, kept, restore, train
+from flx.training.loop import LossFn, averaged, kept, restore, train
 from flx.training.run import Run, open_run
 from flx.training.run_asset import (
     direction_in,
@@ -113,7 +113,7 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     params = jax.jit(network.init)(jax.random.key(config.seed), *start, *seen)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
     if not run.generator.exists():  # an earlier version trained it
-        save(int(state.step), state.ema)
+        save(int(state.step), averaged(state, params))
     return run
 
 
@@ -230,10 +230,11 @@ def generator_of_checkpoint(run: Run, experiment: FLDMExperiment) -> Generator:
     experiment = completed(experiment, codec, labelled, direction)
     rules = experiment.model, labelled, direction, intact
     _, scaling, home, labels, field = load_copies(run, asset, surface, codec, *rules)
-    state = restore(run, experiment.train, parameter_shapes(experiment.model, home.tables))
+    shapes = parameter_shapes(experiment.model, home.tables)
+    state = restore(run, experiment.train, shapes)
     source = source_of(run, surface, asset)
     parts = scaling, codec, home, source, int(state.step), labels, field
-    return learnt_generator(experiment, state.ema, *parts)
+    return learnt_generator(experiment, averaged(state, shapes), *parts)
 
 
 def conditions_of(model: FLDM, labels: Any, direction: Any) -> tuple[Array | None, Array | None]:

@@ -11,7 +11,7 @@ from flx.models.codec.vae import FieldLatentVAE, flvae_loss
 from flx.pipeline.codec import Codec, initial_params, save_codec
 from flx.pipeline.patches import PATCH_VERTICES, ImagePatches, PatchBatch, first_rings
 from flx.stopping import keeping
-from flx.training.loop import LossFn, kept, train
+from flx.training.loop import LossFn, averaged, kept, train
 from flx.training.run import Run, open_run
 
 
@@ -21,11 +21,12 @@ def learn_flvae(experiment: FLVAEExperiment, root: Path) -> Run:
     patches = ImagePatches(experiment.images, experiment.model, config.batch)
     run = open_run(root, experiment, patches.digest)
     keeping(lambda: kept(run))
-    state = train(run, config, starting_params(experiment, patches), image_loss(experiment), patches)
+    params = starting_params(experiment, patches)
+    state = train(run, config, params, image_loss(experiment), patches)
     rings = config.steps * config.batch * PATCH_VERTICES
     card = {"steps": config.steps, "rings": rings, "images": len(patches.images)}
     card = {name: str(value) for name, value in {**card, "kl_weight": experiment.kl_weight}.items()}
-    save_codec(run.folder / "flvae.safetensors", Codec(experiment.model, state.ema), card)
+    save_codec(run.folder / "flvae.safetensors", Codec(experiment.model, averaged(state, params)), card)
     return run
 
 

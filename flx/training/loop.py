@@ -25,6 +25,7 @@ from flx.training.checkpoint import Checkpoints
 from flx.training.log import Log, say
 from flx.training.optimizer import learning_rate, make_optimizer
 from flx.training.run import Run, only_trainer
+from flx.training.stacks import Stacks, stacked, unstacked
 
 LossFn = Callable[[Any, Any, Array], tuple[Array, dict[str, Array]]]  # parameters, batch, key → loss, metrics
 Batches = Callable[[int], Any]  # step → arrays, always the same for a step
@@ -34,17 +35,23 @@ class TrainState(NamedTuple):
     """All that the next step depends on. `Any` is a pytree of arrays."""
 
     step: Int32[Any, ""]  # steps done
-    params: Any
-    ema: Any  # the average that sampling uses; like `params`
+    params: Stacks
+    ema: Stacks  # the average that sampling uses
     optimizer: Any
     key: UInt32[Any, "2"]  # of the run
 
 
 def initial_state(config: Train, init_params: Any) -> TrainState:
-    """The state before the first step; each leaf is a copy, because a step takes the buffers of its state."""
-    params, ema = jax.tree.map(jnp.array, init_params), jax.tree.map(jnp.array, init_params)
+    """The state before the first step; its arrays are copies, for a step takes the buffers of its state."""
+    stacks = stacked(init_params, config.optimizer == "muon")
+    params, ema = jax.tree.map(jnp.array, stacks), jax.tree.map(jnp.array, stacks)
     key = jax.random.key_data(jax.random.key(config.seed))
     return TrainState(jnp.int32(0), params, ema, make_optimizer(config).init(params), key)
+
+
+def averaged(state: TrainState, like: Any) -> Any:
+    """The averaged parameters, in the shapes of `like`."""
+    return unstacked(state.ema, like)
 
 
 def restore(run: Run, config: Train, init_params: Any) -> TrainState:
@@ -60,10 +67,11 @@ def restore(run: Run, config: Train, init_params: Any) -> TrainState:
 
 
 def make_step(
-    config: Train, loss_fn: LossFn
+    config: Train, loss_fn: LossFn, like: Any
 ) -> Callable[[TrainState, Any], tuple[TrainState, dict[str, Array]]]:
     """One step: `(state, batch) → (next state, scalars)`. Pure; `jit` it.
 
+    The parameters that `loss_fn` takes have the shapes of `like`.
     The decay of the average is min(ema, (1 + n)/(10 + n)) at step n: it soon forgets the initial parameters.
     """
     optimizer = make_optimizer(config)
@@ -71,7 +79,9 @@ def make_step(
     def step(state: TrainState, batch: Any) -> tuple[TrainState, dict[str, Array]]:
         n = state.step
         key = jax.random.fold_in(jax.random.wrap_key_data(state.key), n)
-        (loss, metrics), gradient = jax.value_and_grad(loss_fn, has_aux=True)(state.params, batch, key)
+        params = unstacked(state.params, like)
+        (loss, metrics), gradient = jax.value_and_grad(loss_fn, has_aux=True)(params, batch, key)
+        gradient = stacked(gradient, config.optimizer == "muon")
         updates, moments = optimizer.update(gradient, state.optimizer, state.params)
         params = optax.apply_updates(state.params, updates)
         decay = jnp.minimum(config.ema, (1 + n) / (10 + n))
@@ -113,7 +123,11 @@ def train(
         with contextlib.closing(_prefetch(batches, done, config.steps)) as feed:
             batch = next(feed)
             began = time.monotonic()
-            step = jax.jit(make_step(config, loss_fn), donate_argnums=0).lower(state, batch).compile()
+            step = (
+                jax.jit(make_step(config, loss_fn, init_params), donate_argnums=0)
+                .lower(state, batch)
+                .compile()
+            )
             say(f"{run.folder}: compiled the train step in {time.monotonic() - began:.1f} s")
             with Noted() as stop, contextlib.closing(Log(run, config, done, checkpoints)) as log:
                 under_way = None  # the scalars of the step that the device works on
@@ -127,7 +141,7 @@ def train(
                         log.add(done, under_way)  # first: a state that is not finite is never saved
                         log.write()
                         if save is not None:  # first: what it writes is never behind a checkpoint
-                            save(done, state.ema)
+                            save(done, averaged(state, init_params))
                         checkpoints.save(done, state)
                         under_way = None
                     if last:

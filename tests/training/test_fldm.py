@@ -22,7 +22,7 @@ from flx.pipeline.codec import load_codec
 from flx.pipeline.copies import open_cache
 from flx.pipeline.generator import read_generator
 from flx.training.fldm import MeshBatch, diffusion_loss, draw_times, learn_fldm
-from flx.training.loop import TrainState
+from flx.training.loop import TrainState, initial_state
 from flx.training.run import Run
 
 
@@ -94,7 +94,7 @@ def test_training_sees_draws_from_the_posterior_where_they_are_asked_for(tmp_pat
 
     def notes(run, config, params, loss, batches, save) -> TrainState:
         feeds[run.folder.name] = batches
-        return TrainState(jnp.int32(1), params, params, None, jnp.zeros(2, jnp.uint32))
+        return initial_state(config, params)._replace(step=jnp.int32(1))
 
     monkeypatch.setattr("flx.training.fldm.train", notes)
     codes: tuple[Literal["means", "draws"], ...] = ("means", "draws")

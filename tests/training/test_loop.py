@@ -17,7 +17,7 @@ from helpers.regression import INIT, batches, config, loss_fn
 
 from flx.config import Train
 from flx.training.checkpoint import Checkpoints
-from flx.training.loop import TrainState, initial_state, make_step, restore, train
+from flx.training.loop import TrainState, averaged, initial_state, make_step, restore, train
 from flx.training.run import Run
 
 
@@ -60,7 +60,7 @@ def test_training_trains(uninterrupted):
     assert int(state.step) == len(rows_of(run)) == 12
     key = jax.random.key(0)
     before, after = (
-        np.mean([loss_fn(p, batches(n), key)[0] for n in range(20)]) for p in (INIT, state.params)
+        np.mean([loss_fn(p, batches(n), key)[0] for n in range(20)]) for p in (INIT, averaged(state, INIT))
     )
     assert after < 0.75 * before
     assert not any(x.is_deleted() for x in jax.tree.leaves(INIT))  # the caller's arrays are its own
@@ -199,23 +199,24 @@ def test_a_gradient_that_is_not_finite_is_caught_at_its_step_and_not_saved(tmp_p
 def test_the_average_is_its_closed_form():
     """e_n = Σ_k w_k p_k with w_k = (1 − d_k) Π_{j>k} d_j, over parameters that SGD cannot hide."""
     toy = Train(steps=40, learning_rate=0.1, final_learning_rate=0.1, ema=0.7)
-    step = jax.jit(make_step(toy, lambda p, b, k: (jnp.sum((p - b) ** 2), {})))
-    state = initial_state(toy, jnp.array([5.0, -3.0]))
-    visited = [np.float64(state.params)]
+    start = jnp.array([5.0, -3.0])
+    step = jax.jit(make_step(toy, lambda p, b, k: (jnp.sum((p - b) ** 2), {}), start))
+    state = initial_state(toy, start)
+    visited = [np.float64(state.params["rest"])]
     for n in range(40):
         state, _ = step(state, jnp.array([np.sin(n), 1.0], jnp.float32))
-        visited.append(np.float64(state.params))
+        visited.append(np.float64(state.params["rest"]))
     decays = [min(0.7, (1 + n) / (10 + n)) for n in range(40)]
     assert 0.7 in decays and 0.1 in decays
     weights = [np.prod(decays)] + [(1 - decays[k]) * np.prod(decays[k + 1 :]) for k in range(40)]
     assert np.isclose(sum(weights), 1) and weights[0] < 1e-6
-    np.testing.assert_allclose(state.ema, np.dot(weights, visited), rtol=1e-5)
-    assert np.abs(np.asarray(state.ema - state.params)).max() > 1e-3
+    np.testing.assert_allclose(state.ema["rest"], np.dot(weights, visited), rtol=1e-5)
+    assert np.abs(np.asarray(state.ema["rest"] - state.params["rest"])).max() > 1e-3
 
 
 def test_steps_draw_from_their_own_key():
     """The key of step n is fold_in(seed, n), for any way to reach step n."""
-    step = make_step(config, lambda p, b, key: (jnp.sum(p**2), {"u": jax.random.uniform(key)}))
+    step = make_step(config, lambda p, b, key: (jnp.sum(p**2), {"u": jax.random.uniform(key)}), jnp.ones(2))
     state = initial_state(config, jnp.ones(2))
     drawn = []
     for _ in range(3):

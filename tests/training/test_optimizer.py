@@ -4,11 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flx.config import Train
 from flx.training.optimizer import ADAM_RATE, learning_rate, make_optimizer, muon
+from flx.training.stacks import stacked, unstacked
 
 
 @given(st.integers(2, 500), st.integers(0, 400), st.floats(1e-4, 1.0), st.floats(0.0, 1.0))
@@ -39,20 +41,19 @@ def test_adam_takes_the_scheduled_rate_and_clip_bounds_the_gradient():
 
 
 def test_muon_turns_matrices_by_the_rate_and_leaves_the_rest_to_adam():
-    """Every singular value of a kernel's update is near the rate, whatever the gradient's; signs elsewhere.
+    """Every singular value of a matrix' update is near the rate, whatever the gradient's; signs elsewhere.
 
-    The iteration ends with singular values from about 0.7 to 1.2 (Jordan et al.). The stack and (re, im) are
-    matrices of their own: [2, 6, 8] is two of them.
+    The iteration ends with singular values from about 0.7 to 1.2 (Jordan et al.).
     """
     rng = np.random.default_rng(0)
-    gradient = {"dense": {"kernel": rng.normal(size=(2, 6, 8)), "bias": rng.normal(size=8)}}
-    gradient["dense"]["kernel"][0] *= 1e3
+    gradient = {"6x8": rng.normal(size=(2, 6, 8)), "rest": rng.normal(size=8)}
+    gradient["6x8"][0] *= 1e3
     gradient = jax.tree.map(jnp.float32, gradient)
     optimizer = make_optimizer(Train(steps=10, learning_rate=0.1, optimizer="muon"))
-    updates = optimizer.update(gradient, optimizer.init(gradient), gradient)[0]["dense"]
-    scaled = np.linalg.svd(updates["kernel"], compute_uv=False) / (0.1 * np.sqrt(8 / 6))
+    updates = optimizer.update(gradient, optimizer.init(gradient), gradient)[0]
+    scaled = np.linalg.svd(updates["6x8"], compute_uv=False) / (0.1 * np.sqrt(8 / 6))
     assert np.all((scaled > 0.6) & (scaled < 1.3))
-    along = -updates["bias"] / np.sign(gradient["dense"]["bias"])
+    along = -updates["rest"] / np.sign(gradient["rest"])
     np.testing.assert_allclose(along, along[0], rtol=1e-3)  # Adam's first step knows the signs alone
     assert 1 < along[0] / (0.1 * ADAM_RATE) < 2  # longer than the rate by Nesterov's momentum
 
@@ -78,13 +79,34 @@ def test_muon_on_stacks_is_muon_on_each_kernel():
     plain = optax.contrib.muon(
         rate, adam_learning_rate=slower, muon_weight_dimension_numbers=lambda _: dimensions
     )
-    ours, both = muon(rate), []
-    for optimizer in (plain, ours):
-        state, moved = optimizer.init(params), params
+    both = []
+    for optimizer, start in ((plain, params), (muon(rate), stacked(params, matrices=True))):
+        state, moved = optimizer.init(start), start
         for n in range(3):
-            gradient = jax.tree.map(lambda p, n=n: jnp.sin(p + n), params)
+            gradient = jax.tree.map(lambda p, n=n: jnp.sin(p + n), moved)
             updates, state = optimizer.update(gradient, state, moved)
             moved = optax.apply_updates(moved, updates)
         both.append(moved)
-    for a, b in zip(*map(jax.tree.leaves, both), strict=True):
+    for a, b in zip(*map(jax.tree.leaves, (both[0], unstacked(both[1], params))), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-5, atol=2e-6)
+
+
+@pytest.mark.parametrize("matrices", [True, False])
+def test_stacks_hold_each_parameter_once_and_give_it_back(matrices):
+    key = jax.random.key(0)
+    params = {
+        "lift": {"kernel": jax.random.normal(key, (2, 5, 8)), "bias": jnp.arange(8.0)},
+        "before": {
+            "kernel": jax.random.normal(key, (3, 2, 5, 8)),
+            "bias": jnp.ones((3, 8)),
+            "size": jnp.float32(7),
+        },
+        "head": {"kernel": jax.random.normal(key, (8, 5))},
+    }
+    stacks = stacked(params, matrices)
+    shapes = {"5x8": (8, 5, 8), "8x5": (1, 8, 5), "rest": (33,)} if matrices else {"rest": (393,)}
+    assert {name: a.shape for name, a in stacks.items()} == shapes
+    back = unstacked(stacks, jax.eval_shape(lambda: params))
+    jax.tree.map(np.testing.assert_array_equal, back, params)
+    bare = jnp.array([5.0, -3.0])  # a network of one array
+    np.testing.assert_array_equal(unstacked(stacked(bare, matrices), bare), bare)

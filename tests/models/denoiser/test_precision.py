@@ -22,6 +22,7 @@ from flx.geometry.tables import mesh_tables, stack
 from flx.pipeline.generator import network_of
 from flx.training.fldm import MeshBatch, diffusion_loss, draw_times
 from flx.training.loop import initial_state, make_step
+from flx.training.stacks import unstacked
 
 pytestmark = pytest.mark.slow
 
@@ -55,12 +56,13 @@ def trained(name: str, steps: int = 60) -> Trained:
     z = smooth(tables, config.latents)
     first = compiled(network.init)(jax.random.key(0), tables, z, jnp.float32(1))
     train = Train(steps=steps, learning_rate=3e-3)
-    state, step = initial_state(train, first), compiled(make_step(train, diffusion_loss(config, network)))
+    state = initial_state(train, first)
+    step = compiled(make_step(train, diffusion_loss(config, network), first))
     tables, losses = stack([tables]), []
     for n in range(steps):
         state, scalars = step(state, MeshBatch(tables, z[None], draw_times(config, 0, n, 1)))
         losses.append(float(scalars["loss"]))
-    return Trained(config, first, state.params, losses)
+    return Trained(config, first, unstacked(state.params, first), losses)
 
 
 def smooth(tables: Any, channels: int) -> jax.Array:
