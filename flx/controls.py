@@ -28,8 +28,10 @@ class Controls:
     # which way the texture runs, with --instant or for a run that learnt it: x, y, z, curvature, or a JSON
     # file of strokes
     direction: str | None = None
+    # pieces of the input stay at their height along this axis, x, y or z: a rim stays a rim, a foot a foot
+    height: str | None = None
     rotate: float = 0.0  # degrees by which the direction is turned, counter-clockwise seen from outside
-    # weight of labels and direction: 0 ignores them, 1 follows them, more exaggerates
+    # weight of labels, direction and height: 0 ignores them, 1 follows them, more exaggerates
     guidance: float = 1.0
 
     def __post_init__(self) -> None:
@@ -56,6 +58,14 @@ class Controls:
             if self.strength < 1:
                 said = f"strength is {self.strength} and invention {self.invention}"
                 raise ValueError(f"{said}; give one: strength begins with the input, invention with pieces")
+
+        if self.height is not None and self.height not in ("x", "y", "z"):
+            raise ValueError(f"height is {self.height}; give the axis that points up: x, y or z")
+        if self.height and self.invented == 1:
+            said = f"strength is {self.strength}" if self.strength < 1 else "invention is 1"
+            raise ValueError(
+                f"height is {self.height}, but {said}: there are no pieces; leave one of them out"
+            )
 
     @property
     def invented(self) -> float:

@@ -165,7 +165,8 @@ def patches_on(
     # How much larger than in the input details are in the units of the files, which may not be the same.
     size = np.sqrt(face_areas(*surface).sum() / face_areas(mesh.vertices, mesh.faces).sum())
     scale = float(size * np.sqrt(vertices / count))
-    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same, guides)
+    high = tuple(each._replace(height=controls.height) for each in guides)
+    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same, high)
     weights = Weights(patches.guide, controls.guidance)
     return PatchGenerator(asset, target, mesh, synthesis, patches, held, weights)
 
@@ -180,10 +181,10 @@ def check_instant(patches: Patches, controls: Controls, guides: tuple[Guides, Gu
             said = f"{name} is {value}, but nothing is learnt here"
             raise ValueError(f"{said}; train a run, or leave it out")
     directed = controls.direction or (guides and guides[1].direction)
-    guided = guides is not None or controls.labels or patches.input_labels or directed
+    guided = guides is not None or controls.labels or patches.input_labels or directed or controls.height
     if controls.guidance != 1 and not guided:
         said = f"guidance is {controls.guidance}, but there is nothing to follow"
-        raise ValueError(f"{said}; give labels or a direction, or leave it out")
+        raise ValueError(f"{said}; give labels, a direction or a height, or leave it out")
     if not directed and (controls.rotate or patches.input_direction):
         name, value = "rotate", controls.rotate
         if patches.input_direction:

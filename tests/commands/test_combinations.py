@@ -32,6 +32,7 @@ OPTIONS = {
     "scale": 0.8,
     "direction": "x",
     "rotate": 90.0,
+    "height": "z",
     "guidance": 2.0,
     "strength": 0.5,
     "invention": 0.5,
@@ -55,13 +56,16 @@ REFUSED = {
     ): "guidance 2: other.glb has no labels to follow; give an image on its UVs with --labels",
     ("strength", "invention"): "strength is 0.5 and invention 0.5; give one: strength begins with the input, "
     "invention with pieces",
+    ("height", "strength"): "height is z, but strength is 0.5: there are no pieces; leave one of them out",
     ("strength", "instant"): f"strength is 0.5, {UNLEARNT}",
     ("invention", "instant"): f"invention is 0.5, {UNLEARNT}",
 }
-NOTHING = "guidance is 2.0, but there is nothing to follow; give labels or a direction, or leave it out"
+NOTHING = (
+    "guidance is 2.0, but there is nothing to follow; give labels, a direction or a height, or leave it out"
+)
 TURNED = "rotate is 90.0, but there is no direction; give it with --direction"
 # What a mesh file does not do without training; a set says what makes it possible.
-ALONE = {"guidance": (NOTHING, {"labels", "direction"}), "rotate": (TURNED, {"direction"})}
+ALONE = {"guidance": (NOTHING, {"labels", "direction", "height"}), "rotate": (TURNED, {"direction"})}
 OF_A_MESH = {
     ("keep", "fill"): BOTH,
     ("keep", "mesh"): MASKED,

@@ -224,7 +224,8 @@ def test_colours_at_vertices_are_patched_as_well():
         (
             {},
             {"guidance": 2.0},
-            "guidance is 2.0, but there is nothing to follow; give labels or a direction, or leave it out",
+            "guidance is 2.0, but there is nothing to follow; give labels, a direction or a height, or leave "
+            "it out",
         ),
         ({}, {"rotate": 90.0}, "rotate is 90.0, but there is no direction; give it with --direction"),
         (

@@ -261,6 +261,7 @@ CALLS = [
     *(setting(f"strength={v!r}", "strength is .*; give", lambda v=v: flx.Controls(strength=v)) for v in (0, 2, -1, float("nan"), "much", None)),
     *(setting(f"labels={v!r}", "labels is .*; give the name of a file", lambda v=v: flx.Controls(labels=v)) for v in (3, "")),
     *(setting(f"direction={v!r}", "direction is .*; give x, y, z, curvature, or a JSON", lambda v=v: flx.Controls(direction=v)) for v in (3, "")),
+    *(setting(f"height={v!r}", "height is .*; give the axis", lambda v=v: flx.Controls(height=v)) for v in ("up", "", 2, "Z")),
     *(setting(f"rotate={v!r}", "rotate is .*; give a number", lambda v=v: flx.Controls(rotate=v)) for v in (float("nan"), float("inf"), "left", None)),
     *(setting(f"surface.direction={v!r}", "surface.direction is .*; give text", lambda v=v: flx.Surface(direction=v)) for v in (3, None, Path("a.json"))),
     *(setting(f"scale={v!r}", "scale is .*; give", lambda v=v: flx.Controls(scale=v)) for v in (0, -1, float("inf"), "big", None)),

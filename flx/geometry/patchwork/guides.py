@@ -1,11 +1,11 @@
-"""What pieces should share with the places that they come to: curvature, labels and direction."""
+"""What pieces should share with the places that they come to: curvature, labels, direction and height."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import igl
 import numpy as np
-from jaxtyping import Complex64, Complex128, Float32, Int, Int32
+from jaxtyping import Complex64, Complex128, Float32, Float64, Int, Int32
 
 from flx.geometry.patchwork.anchors import Anchors, Surface, outward
 from flx.geometry.patchwork.appearance import ANGLES
@@ -15,13 +15,18 @@ from flx.types import Triangulation
 MOST_BENT = 4.0  # squared difference of curvatures that counts
 OTHER = 10.0  # cost of another label
 TURNED = 10.0  # cost of the opposite direction; half as much at right angles
+LIFTED = 10.0  # cost of another height, from a difference of REACHED of the whole on
+REACHED = 0.25
+STOREYS = 10  # heights that charts are compared at
+AXES = ("x", "y", "z")
 
 
 class Guides(NamedTuple):
-    """How to find labels and directions at the vertices of any triangulation of a surface."""
+    """What is height on a surface, and how to find labels and directions at vertices of a triangulation."""
 
     labels: Callable[[Triangulation], Int32[Any, "V"]] | None = None
     direction: Callable[[Triangulation], Complex128[Any, "V"]] | None = None
+    height: str | None = None  # the axis along which pieces stay where they were: x, y or z
 
     def turned(self, degrees: float) -> "Guides":
         """The same with directions turned counter-clockwise, seen from outside."""
@@ -32,18 +37,19 @@ class Guides(NamedTuple):
 
 
 class Character(NamedTuple):
-    """What the vertices of a triangulation are like. Where nothing is known, labels or directions are 0."""
+    """What the vertices of a triangulation are like. What is not known is 0 everywhere."""
 
     bends: Float32[Any, "V"]
     labels: Int32[Any, "V"]
     directions: Complex64[Any, "V"]  # unit numbers in the frames of the vertices, or 0
+    heights: Float32[Any, "V"]  # from 0 to 1
 
 
 class Weights(NamedTuple):
     """How much it counts that a piece is like the place that it comes to."""
 
     bends: float = 1.0
-    others: float = 1.0  # of labels and directions
+    others: float = 1.0  # of labels, directions and heights
 
 
 def character(surface: Surface, guides: Guides) -> Character:
@@ -51,7 +57,14 @@ def character(surface: Surface, guides: Guides) -> Character:
     count, triangulation = len(surface), surface.triangulation
     labels = guides.labels(triangulation) if guides.labels else np.zeros(count, np.int32)
     directions = guides.direction(triangulation) if guides.direction else np.zeros(count)
-    return Character(curvature(surface), labels, directions.astype(np.complex64))
+    heights = relative_heights(triangulation.vertices, guides.height) if guides.height else np.zeros(count)
+    return Character(curvature(surface), labels, directions.astype(np.complex64), heights.astype(np.float32))
+
+
+def relative_heights(points: Float64[Any, "V 3"], axis: str) -> Float64[Any, "V"]:
+    """Coordinates along an axis, as shares of the way from the lowest to the highest of these points."""
+    along = points[:, AXES.index(axis)]
+    return (along - along.min()) / max(np.ptp(along), 1e-300)
 
 
 def curvature(surface: Surface) -> Float32[Any, "V"]:
@@ -76,7 +89,13 @@ def unlike(
     cost = weights.bends * np.minimum((source.bends[there] - target.bends[rows]) ** 2, MOST_BENT)
     cost = cost + weights.others * OTHER * (source.labels[there] != target.labels[rows])
     turned = _turned(source.directions[there], anchors.turns, target.directions[rows])
-    return (cost + weights.others * turned).astype(np.float32)
+    lifted = _lifted(source.heights[there], target.heights[rows])
+    return (cost + weights.others * (turned + lifted)).astype(np.float32)
+
+
+def _lifted(theirs: Float32[Any, "..."], own: Float32[Any, "..."] | np.float32) -> Float32[Any, "..."]:
+    """The cost of one height for another one."""
+    return LIFTED * np.minimum(np.square((theirs - own) / REACHED), 1)
 
 
 def _turned(
@@ -90,20 +109,23 @@ def _turned(
 def chart_costs(
     bank: Bank, source: Character, target: Character, rows: Int[Any, "n"], weights: Weights
 ) -> tuple[Float32[Any, "G M"], Int[Any, "n"]]:
-    """What each chart of a bank costs by labels and direction, at groups of rows that are alike.
+    """What each chart of a bank costs by labels, direction and height, at groups of rows that are alike.
 
-    And the group of each row. Directions are alike within half a step of the charts' turns.
+    And the group of each row: directions within half a step of the charts' turns, heights on one storey.
     """
     of, own = target.labels[rows], target.directions[rows]
+    storeys = np.minimum(target.heights[rows] * STOREYS, STOREYS - 1).astype(np.int64)
     steps = np.round(np.angle(own) / (2 * np.pi) * ANGLES).astype(np.int64) % ANGLES
     steps = np.where(np.abs(own) > 0, steps, -1)
-    groups, group = np.unique(np.stack([of, steps], 1), axis=0, return_inverse=True)
+    groups, group = np.unique(np.stack([of, steps, storeys], 1), axis=0, return_inverse=True)
     turns = np.repeat(np.exp(2j * np.pi * np.arange(ANGLES) / ANGLES), len(bank.vertices)).astype(
         np.complex64
     )
-    labels, directions = (np.tile(part[bank.vertices], ANGLES) for part in source[1:])
+    labels, directions, heights = (np.tile(part[bank.vertices], ANGLES) for part in source[1:])
     costs = np.empty((len(groups), len(turns)), np.float32)
-    for number, (label, step) in enumerate(groups):
+    for number, (label, step, storey) in enumerate(groups):
         unit = np.complex64(np.exp(2j * np.pi * step / ANGLES) * (step >= 0))
         costs[number] = OTHER * (labels != label) + _turned(directions, turns, unit)
+        if np.ptp(source.heights):
+            costs[number] += _lifted(heights, np.float32((storey + 0.5) / STOREYS))
     return weights.others * costs, group.reshape(-1)

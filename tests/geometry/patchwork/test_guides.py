@@ -11,6 +11,9 @@ from helpers.surfaces import icosphere, square_grid
 from flx.geometry.direction import field_on
 from flx.geometry.patchwork.anchors import Anchors, Surface, placed
 from flx.geometry.patchwork.guides import (
+    LIFTED,
+    REACHED,
+    STOREYS,
     TURNED,
     Character,
     Guides,
@@ -91,9 +94,29 @@ def deviations(characters: tuple[Character, Character], anchors: Anchors) -> np.
     return np.rad2deg(np.abs(np.angle(along[np.abs(along) > 0.5])))
 
 
-def test_charts_cost_what_their_anchors_cost():
-    """But for curvature, and for the half step of a turn by which rows of a group may differ."""
-    guides = Guides(upper, lambda t: field_on("z", t))
+def heights_of_both(characters: tuple[Character, Character], anchors: Anchors) -> np.ndarray:
+    source, target = characters
+    return np.stack([source.heights[anchors.vertices], target.heights])
+
+
+def test_pieces_stay_at_their_height_where_they_are_told_to():
+    """From 0 to 1 on both surfaces: a rim comes from the rim."""
+    guided = synthesis_of(BALL, guides=(Guides(height="z"), Guides(height="z")))
+    characters = guided.levels[-1].characters
+    for each in characters:
+        assert each.heights.min() == 0 and each.heights.max() == 1
+    free, told = (
+        heights_of_both(characters, synthesize(guided, 0, weights=Weights(others=weight)))
+        for weight in (0.0, 1.0)
+    )
+    assert np.median(np.abs(told[0] - told[1])) < 0.06 and np.corrcoef(told)[0, 1] > 0.95
+    assert np.corrcoef(free)[0, 1] < 0.5
+
+
+@pytest.mark.parametrize("height", [None, "z"])
+def test_charts_cost_what_their_anchors_cost(height):
+    """But for curvature, and for half a turn's step and half a storey by which rows of a group may differ."""
+    guides = Guides(upper, lambda t: field_on("z", t), height)
     level = synthesis_of(BALL, guides=(guides, guides)).levels[-1]
     bank, rows = level.bank, np.arange(0, len(level.target), 23)
     costs, groups = chart_costs(bank, *level.characters, rows, Weights(others=2.0))
@@ -102,7 +125,8 @@ def test_charts_cost_what_their_anchors_cost():
     anchors = anchors_of(bank, places, turns)
     for number, row in enumerate(rows):
         exact = unlike(*level.characters, anchors, np.full(len(places), row), Weights(0.0, 2.0))
-        assert np.abs(costs[groups[number]] - exact).max() < 2 * TURNED / 2 * np.deg2rad(7.5) + 1e-4
+        turned, lifted = TURNED / 2 * np.deg2rad(7.5), 2 * LIFTED / REACHED * 0.5 / STOREYS if height else 0
+        assert np.abs(costs[groups[number]] - exact).max() < 2 * (turned + lifted) + 1e-4
 
 
 def test_frames_of_the_two_surfaces_do_not_matter():
@@ -110,7 +134,7 @@ def test_frames_of_the_two_surfaces_do_not_matter():
     rng, count = np.random.default_rng(0), 50
     units = [np.exp(2j * np.pi * rng.random(count)).astype(np.complex64) for _ in range(4)]
     flat, labels, rows = np.zeros(count, np.float32), np.zeros(count, np.int32), np.arange(count)
-    source, target = (Character(flat, labels, unit) for unit in units[:2])
+    source, target = (Character(flat, labels, unit, flat) for unit in units[:2])
     anchors = Anchors(rng.permutation(count), np.zeros(count, np.complex64), units[2])
     before = unlike(source, target, anchors, rows, Weights())
     turn = units[3]
@@ -127,7 +151,7 @@ def test_nothing_is_asked_where_there_is_no_direction():
     one, none = np.ones(2, np.complex64), np.zeros(2, np.complex64)
     flat, labels, rows = np.zeros(2, np.float32), np.zeros(2, np.int32), np.arange(2)
     anchors = Anchors(rows, none, -one)
-    there, nowhere = (Character(flat, labels, unit) for unit in (one, none))
+    there, nowhere = (Character(flat, labels, unit, flat) for unit in (one, none))
     assert unlike(there, there, anchors, rows, Weights()) == pytest.approx(TURNED)
     assert not unlike(there, nowhere, anchors, rows, Weights()).any()
     assert not unlike(nowhere, there, anchors, rows, Weights()).any()
