@@ -20,5 +20,4 @@ demo = quick(name="boulder_pbr")
 config = replace(
     demo,
     surface=Surface(path="boulder_01_1k.gltf", vertices=3000, copies=8),
-    train=replace(demo.train, steps=1500),
 )

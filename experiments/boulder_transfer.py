@@ -17,5 +17,4 @@ demo = quick(name="boulder_transfer")
 config = replace(
     demo,
     surface=Surface(path="boulder_01_1k.gltf", vertices=3000, copies=8),
-    train=replace(demo.train, steps=1500),
 )

@@ -15,5 +15,4 @@ demo = quick(name="bowl")
 config = replace(
     demo,
     surface=Surface(path="akita_black_bowl.obj", vertices=10_000, copies=8, up="z"),
-    train=replace(demo.train, steps=3000),
 )

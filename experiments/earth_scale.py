@@ -17,5 +17,4 @@ demo = quick(name="earth_scale")
 config = replace(
     demo,
     surface=Surface(path="mesh.obj", texture="earth-blue-marble.jpg", vertices=3000, copies=8),
-    train=replace(demo.train, steps=1500),
 )

@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = ["--help" if word == "--help-all" else word for word in words]
     try:
         with ended_by_signals(), short_help(words[0], asked):
-            with values_in_one_line():
+            with refusals_in_one_line(words[0]):
                 run = parse(words)
             run()
     except (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError) as error:
@@ -106,18 +106,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextlib.contextmanager
-def values_in_one_line() -> Iterator[None]:
-    """A value that its option refuses is a ValueError in the option's words, without a frame around it."""
+def refusals_in_one_line(verb: str) -> Iterator[None]:
+    """What tyro refuses, in a frame of many lines, is a ValueError of one."""
     encoding = getattr(sys.stderr, "encoding", None) or "utf-8"
     told = io.TextIOWrapper(content := io.BytesIO(), encoding, "replace", write_through=True)
     try:
         with contextlib.redirect_stderr(told):
             yield
     except SystemExit:
+        from flx.commands.help import refusal
+
         text = content.getvalue().decode(encoding, "replace")
-        words = " ".join(re.sub("[│╭╮╰╯─+|]", " ", text).split())
-        if refused := re.search(r"Error parsing [^ :]+: (.*) For full helptext", words):
-            raise ValueError(refused[1].strip(" -")) from None
+        if refused := refusal(verb, text):
+            raise ValueError(refused) from None
         print(text, end="", file=sys.stderr)
         raise
     print(content.getvalue().decode(encoding, "replace"), end="", file=sys.stderr)

@@ -1,5 +1,7 @@
 """The command line, from a file to new textures: `experiments/smoke.py` run as a user runs it."""
 
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -34,6 +36,14 @@ def flx(*arguments: str, cwd: Path, status: int = 0) -> subprocess.CompletedProc
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=400)
     assert done.returncode == status, done.stderr
     return done
+
+
+def here(*arguments: str, cwd: Path) -> str:
+    """What is said on stdout in this process, which loads JAX and traces programs once for all calls."""
+    said = io.StringIO()
+    with contextlib.chdir(cwd), contextlib.redirect_stdout(said):
+        assert main(list(arguments)) == 0
+    return said.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +109,7 @@ def trained(vase) -> Path:
 
 @pytest.fixture(scope="module")
 def sampled(trained: Path) -> Path:
-    flx("sample", "runs/smoke", "--count", "2", "--steps", "4", "--texture-size", "256", cwd=trained)
+    here("sample", "runs/smoke", "--count", "2", "--steps", "4", "--texture-size", "256", cwd=trained)
     return trained / "runs" / "smoke" / "samples-texture-size-256-steps-4"
 
 
@@ -150,21 +160,22 @@ def test_the_same_seed_gives_the_same_files_after_a_kill(trained, sampled):
     killed.wait()
     left = [p for p in (trained / "again").glob("[!.]*") if p.suffix != ".json"]  # that lists less so far
     assert left and all(path.read_bytes() == wanted[path.name] for path in left)
-    flx(*arguments, cwd=trained)
+    here(*arguments, cwd=trained)
     for name, content in wanted.items():
         assert (trained / "again" / name).read_bytes() == content
 
 
 @pytest.mark.slow
-def test_another_asset_under_the_same_name_is_refused(trained):
-    said = flx("train", SMOKE, cwd=trained, status=2).stderr
+def test_another_asset_under_the_same_name_is_refused(trained, monkeypatch, capsys):
+    monkeypatch.chdir(trained)
+    said = refusal(["train", SMOKE], capsys)
     assert said.count("\n") == 1 and "--name" in said
 
 
 @pytest.mark.slow
 def test_reconstruct_measures_what_it_writes(vase):
     arguments = ["vase.glb", "--vertices", "1500", "--texture-size", "256", "--out", "back"]
-    metrics = json.loads(flx("reconstruct", *arguments, cwd=vase).stdout)
+    metrics = json.loads(here("reconstruct", *arguments, cwd=vase))
     assert json.loads((vase / "back" / "metrics.json").read_text()) == metrics
     assert 17 < metrics["psnr"] < 40 and 0 < metrics["dssim"] < 0.4 and metrics["peak_bytes"] > 1e8
     for name in ("reconstruction.glb", "reconstruction.png", "side_by_side.png"):
@@ -280,9 +291,24 @@ def test_it_is_refused_before_jax_is_loaded(tmp_path):
     assert done.stdout.strip() == "2 False" and done.stderr.count("\n") == 1
 
 
-def test_a_misspelt_field_is_answered_with_the_nearest_one(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["train", SMOKE, "--train.stepz", "3"], "no option --train.stepz; --train.steps is the nearest one"),
+        (["sample", "--cuont", "3"], "there is no option --cuont; --count is the nearest one"),
+        (["sample", "--bogus=3"], "no option --bogus; `flx sample --help-all` lists what there is"),
+        (["sample", "a", "b"], "'b' is one word too many; `flx sample --help-all` lists what there is"),
+        (["doctor"], "doctor needs PATH: a .glb, .gltf, .obj or .ply file"),
+        (["sample", "--count"], "--count needs a value; `flx sample --help-all` lists what there is"),
+        (["sample", "--count", "x"], "--count is 'x'; give a whole number"),
+        (["sample", "--scale", "x y"], "--scale is 'x y'; give a number"),
+        (["sample", "--format", "gltf"], "--format is 'gltf'; choose one of glb, obj, ply"),
+    ],
+)
+def test_what_the_command_line_refuses_is_one_line_in_its_words(tmp_path, monkeypatch, capsys, words, told):
     monkeypatch.chdir(tmp_path)
-    assert "--train.steps" in refusal(["train", SMOKE, "--train.stepz", "3"], capsys)
+    said = refusal(words, capsys)
+    assert said.startswith("flx: ") and said.endswith(f"{told}\n") and said.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -291,7 +317,7 @@ def test_the_generator_alone_samples_the_same_files(trained, sampled, tmp_path):
     content = (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
     (tmp_path / "vase.safetensors").write_bytes(content)
     arguments = ["vase.safetensors", "--count", "1", "--steps", "4", "--texture-size", "256"]
-    assert flx("sample", *arguments, cwd=tmp_path).stdout.strip() == "samples-texture-size-256-steps-4"
+    assert here("sample", *arguments, cwd=tmp_path).strip() == "samples-texture-size-256-steps-4"
     for name in ("variation_00.glb", "variation_00.png"):
         assert (tmp_path / "samples-texture-size-256-steps-4" / name).read_bytes() == (
             sampled / name
@@ -307,22 +333,11 @@ def test_a_run_of_an_earlier_version_samples_the_same_and_goes_on(trained, sampl
     del record["flx"]
     record["config"]["model"] |= {"latents": 8, "invariants": 0, "blocks": None}
     (run / "config.json").write_text(json.dumps(record))
-    flx(
-        "sample",
-        "runs/smoke",
-        "--count",
-        "1",
-        "--steps",
-        "4",
-        "--texture-size",
-        "256",
-        "--out",
-        "a",
-        cwd=tmp_path,
-    )
+    words = ["sample", "runs/smoke", "--count", "1", "--steps", "4", "--texture-size", "256", "--out", "a"]
+    here(*words, cwd=tmp_path)
     assert (tmp_path / "a" / "variation_00.glb").read_bytes() == (sampled / "variation_00.glb").read_bytes()
     shutil.copy(trained / "vase.glb", tmp_path)
-    flx("train", SMOKE, "--surface.path", "vase.glb", "--name", "smoke", cwd=tmp_path)
+    here("train", SMOKE, "--surface.path", "vase.glb", "--name", "smoke", cwd=tmp_path)
     new = (run / "generator.safetensors").read_bytes()
     assert new == (trained / "runs" / "smoke" / "generator.safetensors").read_bytes()
     assert json.loads((run / "config.json").read_bytes())["config"]["model"]["invariants"] == 3
