@@ -39,6 +39,7 @@ class Evaluate(Comparison):
     instant: bool = False
     labels: Path | None = None  # as of `flx sample`: what goes where; also, how well that is followed
     input_labels: Path | None = None  # with --instant, as of `flx sample`
+    height: str | None = None  # as of `flx sample`: pieces stay at their height along x, y or z
 
     def __call__(self) -> None:
         if self.source is None and not self.instant:
@@ -74,8 +75,9 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         raise ValueError("--instant makes its samples without a network; leave out --samples and --invention")
     if options.input_labels and not options.instant:
         raise ValueError(f"input labels {options.input_labels} go with --instant; add that, or leave it out")
-    if options.labels and options.samples:
-        raise ValueError(f"labels {options.labels} say how to make samples; leave out --labels or --samples")
+    for name in ("labels", "height"):
+        if options.samples and (value := getattr(options, name)):
+            raise ValueError(f"{name} {value} is for samples that flx makes; leave out --{name} or --samples")
     if options.reconstruction:
         raise ValueError(f"give {source} or --reconstruction, not both: they measure different things")
     if options.count < 1 or options.steps < 1:
@@ -101,10 +103,11 @@ def judge(options: Evaluate, source: Path | None) -> Path:
     patches, asked, unguided = Patches(vertices=count, input_labels=options.input_labels), None, {}
     if not samples:
         asked = asked_labels(generator and generator.labelled, asset, patches, options.labels)
+    invented = Controls(invention=options.invention, height=options.height).invented
     made_by = {
         **settings(options, APART),
         "instant": options.instant,
-        "invention": None if options.instant else Controls(invention=options.invention).invented,
+        "invention": None if options.instant else invented,
         "asset": asset.digest[:12],
         "generator": digest_of(generator.params)[:12] if generator else None,
         "digests": [digest(path) for path in options.samples],
@@ -117,7 +120,9 @@ def judge(options: Evaluate, source: Path | None) -> Path:
         others["codec"] = shown(asset, reconstruct(generator, size))
 
     def variations(guidance: float) -> dict[str, TexturedMesh]:
-        how = Controls(invention=options.invention, labels=options.labels, guidance=guidance)
+        how = Controls(
+            invention=options.invention, labels=options.labels, height=options.height, guidance=guidance
+        )
         if generator and not options.instant:
             rules = (options.count, options.seed, options.steps, options.sampler, size)
             made = generate(generator, *rules, controls=how, workers=None)

@@ -26,7 +26,8 @@ def made(tmp_path, monkeypatch) -> list:
     run.labels = run.labelled = run.direction = run.intact = None
 
     def generate(generator, count, *_, controls, **__):
-        calls.append(("generate", controls.invented) if controls.guidance else "without labels")
+        how = controls.height or "generate", controls.invented
+        calls.append(how if controls.guidance else "without labels")
         return iter([own_painting(generator.asset)] * count)
 
     def patchworks(vertices: int, count: int, *_):
@@ -66,9 +67,13 @@ def test_a_run_with_labels_is_judged_by_them_with_and_without(tmp_path, monkeypa
     assert rows == {**told, "without labels": {"labels_1": 0.2}}
 
 
-def test_labels_go_with_what_is_made(tmp_path):
+def test_labels_and_height_go_with_what_is_made(tmp_path):
     path = tmp_path / "zones.png"
-    with pytest.raises(ValueError, match=r"zones.png say how to make samples; leave out"):
+    with pytest.raises(
+        ValueError, match=r"height z is for samples that flx makes; leave out --height or --s"
+    ):
+        Evaluate(source=tmp_path, samples=(tmp_path / "a.glb",), height="z")()
+    with pytest.raises(ValueError, match=r"zones.png is for samples that flx makes; leave out"):
         Evaluate(source=tmp_path, samples=(tmp_path / "a.glb",), labels=path)()
     with pytest.raises(ValueError, match=r"input labels .*zones.png go with --instant; add that"):
         Evaluate(source=tmp_path, input_labels=path)()
@@ -79,6 +84,7 @@ def test_labels_go_with_what_is_made(tmp_path):
     [
         ({"source": "run"}, ("generate", INVENTION), (False, INVENTION)),
         ({"source": "run", "invention": 1.0}, ("generate", 1.0), (False, 1.0)),
+        ({"source": "run", "height": "z"}, ("z", INVENTION), (False, INVENTION)),
         ({"source": "run", "instant": True}, ("patchworks", 177), (True, None)),
         ({"source": "ball.glb", "instant": True}, ("patchworks", 5000), (True, None)),
         ({"instant": True}, ("patchworks", 5000), (True, None)),
