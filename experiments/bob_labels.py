@@ -9,8 +9,8 @@ The first line proposes labels from the colours of the texture; correct them, or
 painting program. The last one paints by another image of the same colours: what it shows goes where it shows
 it. `--guidance 0` ignores labels.
 
-Training takes as long as that of the demo, about 8 minutes on two CPU cores; it has been run only at
-2,000 vertices for 900 steps (docs/results.md).
+Training takes as long as that of the demo, about 10 minutes on two CPU cores. Expect spots and beak where the
+labels say (docs/results.md has the pictures).
 """
 
 from dataclasses import replace

@@ -208,6 +208,12 @@ def test_another_mesh_in_other_units_keeps_the_size_of_details():
         assert np.abs(new.images[0].mean((0, 1)) - BALL.mesh.textures[0].mean((0, 1))).max() < 30
 
 
+def test_the_height_that_is_asked_for_reaches_the_pieces():
+    for axis, rising in (("z", 1), (None, 0)):
+        generator = patch_generator(BALL, SMALL, controls=Controls(height=axis))
+        assert all(c.heights.max() == rising for c in generator.synthesis.levels[-1].characters)
+
+
 def test_colours_at_vertices_are_patched_as_well():
     mesh = icosphere(3)
     colors = gaussian_filter(np.random.default_rng(0).random((len(mesh.vertices), 3)), (0, 0))
