@@ -7,7 +7,7 @@ FIRST = {
     "train": "--name --workers --surface.path --surface.texture --surface.labels --surface.direction "
     "--surface.vertices --surface.copies --surface.up --train.steps --images.folder --model.channels",
     "sample": "--instant --texture --count --seed --out --texture-size --format --mesh --scale --keep "
-    "--fill --labels --direction --strength --variants",
+    "--fill --labels --direction --height --strength --variants",
 }
 
 
