@@ -165,8 +165,8 @@ def patches_on(
     # How much larger than in the input details are in the units of the files, which may not be the same.
     size = np.sqrt(face_areas(*surface).sum() / face_areas(mesh.vertices, mesh.faces).sum())
     scale = float(size * np.sqrt(vertices / count))
-    high = tuple(each._replace(height=controls.height) for each in guides)
-    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same, high)
+    own, other = (each._replace(height=controls.height) for each in guides)
+    synthesis = prepare(mesh, triangulation, seed, scale, surface, free, damaged, same, (own, other))
     weights = Weights(patches.guide, controls.guidance)
     return PatchGenerator(asset, target, mesh, synthesis, patches, held, weights)
 

@@ -79,11 +79,11 @@ def make_step(
     def step(state: TrainState, batch: Any) -> tuple[TrainState, dict[str, Array]]:
         n = state.step
         key = jax.random.fold_in(jax.random.wrap_key_data(state.key), n)
-        params = unstacked(state.params, like)
-        (loss, metrics), gradient = jax.value_and_grad(loss_fn, has_aux=True)(params, batch, key)
+        slope = jax.value_and_grad(loss_fn, has_aux=True)
+        (loss, metrics), gradient = slope(unstacked(state.params, like), batch, key)
         gradient = stacked(gradient, config.optimizer == "muon")
         updates, moments = optimizer.update(gradient, state.optimizer, state.params)
-        params = optax.apply_updates(state.params, updates)
+        params: Any = optax.apply_updates(state.params, updates)
         decay = jnp.minimum(config.ema, (1 + n) / (10 + n))
         ema = jax.tree.map(lambda average, p: average + (1 - decay) * (p - average), state.ema, params)
         # The norm is plotted, and checked: a finite loss may have a gradient that is not finite.
