@@ -10,10 +10,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import Array
 from jaxtyping import Float
 
-Stacks = dict[str, Float[Array, "..."]]
+Stacks = dict[str, Float[Any, "..."]]  # by JAX or NumPy
 
 MATRICES = ("kernel", "output")  # names of parameters [..., inputs, outputs]: of a layer, of a filter bank
 
@@ -37,7 +36,7 @@ def unstacked(stacks: Stacks, like: Any) -> Any:
     """The inverse of `stacked`: parameters in the shapes of `like`."""
     taken = defaultdict(int)
 
-    def take(path: tuple, leaf: Any) -> Array:
+    def take(path: tuple, leaf: Any) -> Any:
         name = _shape_name(leaf) if _is_matrix(path) else "rest"
         name = name if name in stacks else "rest"
         count = math.prod(leaf.shape) // math.prod(stacks[name].shape[1:])
