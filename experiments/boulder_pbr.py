@@ -8,7 +8,7 @@ learns base colours alone; a sample begins with pieces of the input, and the oth
 pieces, normals turned with them. So no `--invention 1` and no `--strength` here: the other maps would stay as
 they are, as a line says. Without training: flx sample PATH/boulder_01_1k.gltf --instant.
 
-Training takes 6 minutes on two busy cores. How well the maps fit has not been measured on this mesh;
+Training takes what boulder_transfer.py takes. How well the maps fit has not been measured on this mesh;
 docs/results.md says it of a vase whose maps come from one height.
 """
 

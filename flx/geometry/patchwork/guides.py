@@ -123,9 +123,10 @@ def chart_costs(
     )
     labels, directions, heights = (np.tile(part[bank.vertices], ANGLES) for part in source[1:])
     costs = np.empty((len(groups), len(turns)), np.float32)
+    rising = np.ptp(source.heights) > 0
     for number, (label, step, storey) in enumerate(groups):
         unit = np.complex64(np.exp(2j * np.pi * step / ANGLES) * (step >= 0))
         costs[number] = OTHER * (labels != label) + _turned(directions, turns, unit)
-        if np.ptp(source.heights):
+        if rising:
             costs[number] += _lifted(heights, np.float32((storey + 0.5) / STOREYS))
     return weights.others * costs, group.reshape(-1)
