@@ -249,3 +249,10 @@ def test_what_is_saved_beside_a_checkpoint_is_never_behind_it(tmp_path, monkeypa
     state = train(Run(tmp_path / "order"), config, INIT, loss_fn, batches, lambda n, ema: order.append(n))
     steps = order[::2]
     assert len(steps) > 1 and steps[-1] == int(state.step) and order[1::2] == [-n for n in steps]
+
+
+def test_what_is_saved_beside_a_checkpoint_is_the_average(tmp_path):
+    saved = []
+    state = train(Run(tmp_path / "mean"), config, INIT, loss_fn, batches, lambda n, ema: saved.append(ema))
+    jax.tree.map(np.testing.assert_array_equal, saved[-1], averaged(state, INIT))
+    assert any((state.ema[name] != state.params[name]).any() for name in state.ema)
