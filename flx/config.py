@@ -18,6 +18,7 @@ Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
 Filter = Literal["harmonic", "mlp"]
 FRAME_VECTORS = 48  # the most vectors that the frame encoder can give a code: those of its polynomials
+FRAME_PAIRS = 3  # the most pairs of scalars: mean colour and its curvature
 Sampler = Literal["ddim", "dpm", "ancestral"]  # deterministic; of second order; DDPM
 STEPS = 25  # evaluations of the network for a sample, unless given
 Compared = Literal["flvae", "barycentric", "inf", "vertex_colours", "pca", "frame_pca"]  # by `flx evaluate`
@@ -34,6 +35,7 @@ ADDED = {
     "direction": "",
     "fill": None,
     "codes": "means",
+    "accumulate": 1,
 }
 
 # The largest numbers of a network: beyond them, building it takes minutes before anything is noticed.
@@ -88,18 +90,25 @@ class FLVAE:
     def __post_init__(self) -> None:
         check_all("model", self, channels=1, layers=0, heads=1, latents=1, invariants=0, samples=1)
         check_all("model", self, decoder_width=1, decoder_layers=1, width=1, depth=0, edges=1, sharpness=1)
-        invariants, vectors = self.invariants, self.latents - self.invariants
+        invariants = self.invariants
         if self.encoder == "transformer" and invariants:
             raise ValueError(f"model.invariants is {invariants}; make it 0, since the transformer has none")
         if self.encoder == "transformer" and self.channels % self.heads:
             raise ValueError(f"model.heads is {self.heads}; make it divide model.channels, {self.channels}")
-        if self.encoder == "frame" and not (1 <= invariants <= 3 and 1 <= vectors <= FRAME_VECTORS):
+        vectors = self.latents - self.pairs
+        if self.encoder == "frame" and not (invariants <= FRAME_PAIRS and 1 <= vectors <= FRAME_VECTORS):
             raise ValueError(
-                f"model.invariants is {invariants} of {self.latents} latents; the frame encoder needs "
-                f"1 to 3, and 1 to {FRAME_VECTORS} vectors"
+                f"model.invariants is {invariants} of {self.latents} latents; the frame encoder needs at "
+                f"most {FRAME_PAIRS}, and 1 to {FRAME_VECTORS} vectors (of codes without invariants, "
+                f"{FRAME_PAIRS} more)"
             )
         if self.decoder == "interpolated" and self.sharpness != 1:
             raise ValueError(f"model.sharpness is {self.sharpness}; make it 1 for the interpolated decoder")
+
+    @property
+    def pairs(self) -> int:
+        """Channels of the frame encoder that hold two scalars each; without invariants they turn."""
+        return self.invariants or FRAME_PAIRS
 
 
 @dataclass(frozen=True)
@@ -198,6 +207,7 @@ class Train:
 
     steps: int = 300_000  # Steps of the training: more for a better texture, and more time.
     batch: int = 16  # Mesh copies in a step; for an FL-VAE, patches of 24 one-rings.
+    accumulate: int = 1  # Parts of a batch that are worked on one after the other, in less memory; an FLDM's.
     optimizer: Literal["adam", "muon"] = "adam"  # the paper's; ours for short trainings
     learning_rate: float = 1e-3  # cosine to `final_learning_rate`
     final_learning_rate: float = 1e-5
@@ -210,7 +220,11 @@ class Train:
 
     def __post_init__(self) -> None:
         check_all("train", self, steps=1, batch=1, warmup=0, checkpoint_every=1, log_every=1, seed=0)
-        check_all("train", self, learning_rate=0, final_learning_rate=0, clip=0, ema=0)
+        check_all("train", self, learning_rate=0, final_learning_rate=0, clip=0, ema=0, accumulate=1)
+        if self.batch % self.accumulate:
+            raise ValueError(
+                f"train.accumulate is {self.accumulate}; give a number that divides train.batch, {self.batch}"
+            )
         if self.ema >= 1:
             raise ValueError(f"train.ema is {self.ema}; give less than 1, for weights that follow")
 
@@ -226,6 +240,12 @@ class FLVAEExperiment:
     images: Images = field(default_factory=Images)
     train: Train = field(default_factory=lambda: Train(steps=1_500_000))
 
+    def __post_init__(self) -> None:
+        if self.train.accumulate > 1:
+            raise ValueError(
+                f"train.accumulate is {self.train.accumulate}; an FL-VAE takes 1: make train.batch smaller"
+            )
+
 
 @dataclass(frozen=True)
 class FLDMExperiment:
@@ -235,7 +255,8 @@ class FLDMExperiment:
     surface: Surface = field(default_factory=Surface)
     train: Train = field(default_factory=Train)
     model: FLDM = field(default_factory=FLDM)
-    weights: str | None = None  # An FL-VAE file to use instead of the released one.
+    # An FL-VAE file to use instead of the released one; `vectors`: the shipped one of tangent vectors alone.
+    weights: str | None = None
 
 
 Experiment = FLVAEExperiment | FLDMExperiment

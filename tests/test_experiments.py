@@ -19,9 +19,9 @@ FILES = sorted((Path(__file__).parent.parent / "experiments").glob("*.py"))
 
 
 def codec_of(weights: str | None) -> FLVAE:
-    """The released FL-VAE's, or that of the experiment whose run will have made the weights."""
-    if weights is None:
-        return load_codec().config
+    """A shipped FL-VAE's, or that of the experiment whose run will have made the weights."""
+    if weights in (None, "vectors"):
+        return load_codec(weights).config
     trained = read_config(FILES[0].parent / f"{Path(weights).parent.name}.py")
     assert isinstance(trained, FLVAEExperiment)
     return trained.model

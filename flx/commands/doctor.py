@@ -26,7 +26,7 @@ from flx.models.denoiser.depth import complete
 from flx.pipeline.direction import read_direction
 from flx.pipeline.labels import read_labels
 from flx.pipeline.masks import read_damage
-from flx.pipeline.weights import RELEASED, read_weights
+from flx.pipeline.weights import read_weights, weights_file
 from flx.training.costs import Costs, costs_of
 from flx.types import SLOTS
 
@@ -76,7 +76,7 @@ class Doctor:
 
 def _codec(plan: FLDMExperiment) -> FLVAE:
     """The configuration of the FL-VAE that the plan uses."""
-    return read_weights(RELEASED if plan.weights is None else Path(plan.weights))[0]
+    return read_weights(weights_file(plan.weights))[0]
 
 
 RingPixels = tuple[float, float, float] | None  # in a one-ring: 5th percentile, median and 95th by area

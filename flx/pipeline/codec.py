@@ -19,7 +19,7 @@ from flx.config import FLVAE
 from flx.fields.diffusion import Scaling
 from flx.models.codec.vae import FieldLatentVAE
 from flx.pipeline.tensors import save_tensors
-from flx.pipeline.weights import RELEASED, read_weights
+from flx.pipeline.weights import read_weights, weights_file
 from flx.types import Queries, RingSamples
 
 RINGS, VERTICES, POINTS = 4096, 65_536, 32_768  # one-rings encoded, codes expanded, points decoded at once
@@ -122,7 +122,8 @@ def load_codec(path: str | Path | None = None) -> Codec:
     """A field-latent VAE: the released one, or one that you trained. Nothing in its file is executed.
 
     Args:
-        path: The flvae.safetensors of a run; without it, the released weights.
+        path: The flvae.safetensors of a run; "vectors" for the shipped FL-VAE whose codes are tangent vectors
+            alone, as the paper's network needs them; nothing for the released one.
 
     The codec's `encode(rings)` gives a code at each vertex, [V, D] complex64, from the rings of a copy: logs
     [V, S] complex64 and colours [V, S, 3]. The released codec has S = 64 and D = 8.
@@ -133,9 +134,9 @@ def load_codec(path: str | Path | None = None) -> Codec:
         codec = flx.load_codec()
         latents = codec.encode(flx.triangulate(asset, vertices=5000).rings)  # [5000, 8]
     """
-    path = (
-        RELEASED if path is None else path_of("path", path, "an FL-VAE file, or nothing for the released one")
-    )
+    if path is not None:
+        path = path_of("path", path, "an FL-VAE file, or nothing for the released one")
+    path = weights_file(path)
     config, tensors = read_weights(path)
     if odd := odd_parameter(tensors, jax.eval_shape(lambda: initial_params(config, 0))):
         raise ValueError(f"{path} was made by another version of flx ({odd} differs); use that version")

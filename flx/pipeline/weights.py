@@ -8,7 +8,15 @@ from flx.pipeline.tensors import Tensors, load_tensors, one_line
 
 WEIGHTS = Path(__file__).parent.parent / "weights"
 RELEASED = WEIGHTS / "flvae.safetensors"
+VECTORS = WEIGHTS / "vectors.safetensors"  # codes of vectors alone, which the paper's network needs
 BARYCENTRIC = WEIGHTS / "barycentric.safetensors"  # a baseline, whose decoder interpolates invariants
+
+
+def weights_file(weights: str | Path | None) -> Path:
+    """The file that `--weights` means: the released one, the shipped one of vectors alone, or another."""
+    if weights is None:
+        return RELEASED
+    return VECTORS if str(weights) == "vectors" else Path(weights)
 
 
 def read_weights(path: Path) -> tuple[FLVAE, Tensors]:

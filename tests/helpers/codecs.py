@@ -20,10 +20,13 @@ from flx.types import Queries, RingSamples
 
 SMALL = FLVAE(channels=16, layers=2, heads=4, samples=24, decoder_width=32, precision="float32")
 FRAME = replace(SMALL, encoder="frame", invariants=3, width=32, depth=2, edges=6, sharpness=2.0)
+VECTORS = replace(FRAME, invariants=0)  # pairs of scalars turn with the gradient
 INTERPOLATED = replace(FRAME, decoder="interpolated", sharpness=1.0)
 TINY = FLVAE(channels=4, layers=0, heads=1, samples=5, decoder_width=8, decoder_layers=2)
-CONFIGS = [SMALL, FRAME, INTERPOLATED]
-each_config = pytest.mark.parametrize("config", CONFIGS, ids=lambda c: f"{c.encoder} {c.decoder}")
+CONFIGS = [SMALL, FRAME, VECTORS, INTERPOLATED]
+each_config = pytest.mark.parametrize(
+    "config", CONFIGS, ids=lambda c: f"{c.encoder} {c.decoder} {c.invariants}"
+)
 
 
 def rings(count: int, samples: int = 24, seed: int = 0, noise: float = 0.02) -> RingSamples:

@@ -246,7 +246,12 @@ def test_gradients_of_denoisers_are_slopes_and_know_no_frame(name):
 TINY = FLVAE(channels=8, layers=2, heads=2, samples=20, latents=5, decoder_width=16)
 FRAME = replace(TINY, encoder="frame", invariants=2, width=16, depth=1, edges=5, sharpness=2.0)
 INTERPOLATED = replace(FRAME, decoder="interpolated", sharpness=1.0)
-CODECS = {"transformer": TINY, "frame": FRAME, "interpolated": INTERPOLATED}
+CODECS = {
+    "transformer": TINY,
+    "frame": FRAME,
+    "vectors": replace(FRAME, invariants=0),
+    "interpolated": INTERPOLATED,
+}
 codecs = pytest.mark.parametrize("name", CODECS)
 
 

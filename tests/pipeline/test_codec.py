@@ -10,7 +10,7 @@ from safetensors.numpy import save
 from flx.fields.diffusion import Scaling
 from flx.pipeline.codec import Codec, load_codec, save_codec
 from flx.pipeline.tensors import load_tensors
-from flx.pipeline.weights import BARYCENTRIC, RELEASED
+from flx.pipeline.weights import BARYCENTRIC, RELEASED, VECTORS
 
 
 @pytest.mark.slow
@@ -68,10 +68,17 @@ def test_released_weights_carry_a_digest_and_those_of_earlier_versions_need_none
     assert load_codec(tmp_path / "old.safetensors").digest() == load_codec(path).digest()
 
 
+def test_weights_are_named_or_a_path():
+    vectors = load_codec("vectors")
+    assert vectors.digest() == load_codec(VECTORS).digest() != load_codec().digest()
+    assert vectors.config.invariants == 0 and vectors.config.latents == 8
+
+
 @pytest.mark.slow
-def test_the_released_codec_reconstructs_and_does_not_mind_the_frame():
+@pytest.mark.parametrize("name", [None, "vectors"])
+def test_the_shipped_codecs_reconstruct_and_do_not_mind_the_frame(name):
     """At points near the vertices of rings that are smooth, and at any frames of these."""
-    codec = load_codec()
+    codec = load_codec(name)
     r = rings(300, codec.config.samples)
     queries = alone(r.logs[:, :3])
     colors = codec.decode(queries, codec.encode(r))

@@ -1,8 +1,9 @@
 """Our field-latent codec: a polynomial fit of a ring's colours in a canonical frame, refined by MLPs.
 
 The polynomial is expressed in the frame of the luminance gradient ("upright"). Quantities that do not turn
-with the frame (mean colour, curvature) go into invariant channels of the code, the rest into vectors. The
-first vector is the gradient, from which the decoder recovers the frame. Linear maps, initialised to principal
+with the frame (mean colour, curvature) go into invariant channels of the code, the rest into vectors. In a
+code of vectors alone, as the paper's network needs it, they are pairs that turn with the gradient. The first
+vector is the gradient, from which the decoder recovers the frame. Linear maps, initialised to principal
 components, compress the polynomial, and an MLP refines the result. The decoder runs once per vertex: it
 returns an upright polynomial and a few soft edges, which are cheap to evaluate at any point. The codec is
 equivariant by construction and far cheaper than a transformer over the samples.
@@ -28,6 +29,9 @@ FITTED_DEGREE, PAINTED_DEGREE = 7, 5  # degrees of the encoder's input polynomia
 RESIDUAL = 0.01  # initial scale of the MLPs that refine the linear maps
 GAIN = 5.0  # factor on the MLP's inputs, since colour coefficients are only a few tenths
 STEEPNESS = 1.5  # initial spread of the edges' slopes, per mean vertex radius, and of their offsets
+FIRMNESS = (
+    1.0  # least length of the first vector where pairs turn with it, so that noise leaves its direction
+)
 BOLDNESS = 10.0  # factor on the MLP's outputs for slopes and offsets, relative to those for colours
 _ZEROTH, _PAIRS, _ORDERS = polynomials.coefficient_rows(FITTED_DEGREE)
 SCALARS, VECTORS = (3 * len(rows) for rows in (_ZEROTH, _PAIRS))  # coefficients per ring, three colours each
@@ -54,20 +58,23 @@ def upright(rings: RingSamples) -> Upright:
 
 
 def join_code(scalars: Float[Array, "*B S"], vectors: Complex[Array, "*B C"]) -> Complex[Array, "*B D"]:
-    """A code: the vectors, then the scalars in pairs as invariant complex channels."""
+    """A code: the vectors, then the scalars in pairs as complex channels."""
     return jnp.concatenate([vectors, jax.lax.complex(*jnp.split(scalars, 2, -1))], -1)
 
 
-def split_code(
-    z: Complex[Array, "*B D"], invariants: int
-) -> tuple[Float[Array, "*B S"], Complex[Array, "*B C"]]:
+def split_code(z: Complex[Array, "*B D"], pairs: int) -> tuple[Float[Array, "*B S"], Complex[Array, "*B C"]]:
     """The scalars and the vectors of a code; the inverse of `join_code`."""
-    vectors, pairs = jnp.split(z, [z.shape[-1] - invariants], -1)
-    return algebra.real_pairs(pairs), vectors
+    vectors, scalars = jnp.split(z, [z.shape[-1] - pairs], -1)
+    return algebra.real_pairs(scalars), vectors
 
 
 def _flat(x: Array) -> Array:
     return x.reshape(*x.shape[:-2], -1)
+
+
+def _first(x: Complex[Array, "*B C"], added: float) -> Complex[Array, "*B C"]:
+    """The channels with a number added to the first."""
+    return x.at[..., 0].add(added)
 
 
 class Encoder(nn.Module):
@@ -78,7 +85,7 @@ class Encoder(nn.Module):
     @nn.compact
     def __call__(self, rings: RingSamples) -> Posterior:
         c = self.config
-        scalar_count, vector_count = 2 * c.invariants, c.latents - c.invariants - 1  # without the gradient
+        scalar_count, vector_count = 2 * c.pairs, c.latents - c.pairs - 1  # without the gradient
         ring = upright(rings)
         zeros = nn.initializers.zeros
         mean = self.param("mean", zeros, (SCALARS,))
@@ -93,7 +100,11 @@ class Encoder(nn.Module):
         scalar_residual, re, im, log_sigma = jnp.split(out, ends, -1)
         residual = jax.lax.complex(re, im)
         vectors = vectors + jnp.pad(residual, [(0, 0)] * (residual.ndim - 1) + [(1, 0)])
-        code = join_code(scalars + scalar_residual, vectors * ring.direction[..., None])
+        scalars, direction = scalars + scalar_residual, ring.direction[..., None]
+        if c.invariants:
+            code = join_code(scalars, vectors * direction)
+        else:
+            code = join_code(scalars, _first(vectors, FIRMNESS)) * direction
         return Posterior.starting_small(code, log_sigma)
 
 
@@ -119,8 +130,8 @@ class Decoder(nn.Module):
         c = self.config
         zeros, spread = nn.initializers.zeros, nn.initializers.normal(STEEPNESS)
         self.mean = self.param("mean", zeros, (PAINTED_SCALARS,))
-        self.scalars = self.param("scalars", zeros, (2 * c.invariants, PAINTED_SCALARS))
-        self.vectors = self.param("vectors", zeros, (2, c.latents - c.invariants, PAINTED_VECTORS))
+        self.scalars = self.param("scalars", zeros, (2 * c.pairs, PAINTED_SCALARS))
+        self.vectors = self.param("vectors", zeros, (2, c.latents - c.pairs, PAINTED_VECTORS))
         self.slopes = self.param("slopes", spread, (2, c.edges))
         self.offsets = self.param("offsets", spread, (c.edges,))
         outputs = 3 * polynomials.size(PAINTED_DEGREE) + 6 * c.edges
@@ -129,9 +140,13 @@ class Decoder(nn.Module):
     def expand(self, z: Complex[Array, "*B D"]) -> Painting:
         """The work per vertex: everything that depends on its code alone."""
         c = self.config
-        scalars, vectors = split_code(z, c.invariants)
-        direction = algebra.unit(vectors[..., 0])
-        rotated = vectors * jnp.conj(direction)[..., None]
+        direction = algebra.unit(z[..., 0])
+        back = jnp.conj(direction)[..., None]
+        if c.invariants:
+            scalars, vectors = split_code(z, c.pairs)
+            rotated = vectors * back
+        else:
+            scalars, rotated = split_code(_first(z * back, -FIRMNESS), c.pairs)
         zeroth = _in_colors(self.mean + scalars @ self.scalars)
         pairs = _in_colors(algebra.complex_linear(rotated, self.vectors))
         linear = polynomials.from_orders(zeroth, pairs, PAINTED_DEGREE)

@@ -53,7 +53,7 @@ def complete(model: FLDM, codec: FLVAE, vertices: int, labels: int = 0, directio
     if network == "vectors" and codec.invariants:
         raise ValueError(
             f"model.network is 'vectors' but {codec.invariants} of the FL-VAE's {codec.latents} channels are "
-            "invariant; use --model.network mixed, or --weights of an FL-VAE of vectors alone"
+            "invariant; use --model.network mixed, or --weights vectors"
         )
     return replace(
         model,

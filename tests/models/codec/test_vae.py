@@ -11,6 +11,7 @@ from helpers.codecs import (
     FRAME,
     INTERPOLATED,
     SMALL,
+    VECTORS,
     decode,
     each_config,
     encode,
@@ -144,7 +145,12 @@ def test_the_loss_is_zero_only_for_the_right_colours():
 
 @pytest.mark.parametrize(
     ("config", "changed"),
-    [(SMALL, {"invariants": 2}), (SMALL, {"encoder": "frame"}), (FRAME, {"latents": 3})],
+    [
+        (SMALL, {"invariants": 2}),
+        (FRAME, {"invariants": 4}),
+        (FRAME, {"latents": 3}),
+        (VECTORS, {"latents": 3}),
+    ],
 )
 def test_codes_that_an_encoder_cannot_make_are_refused(config, changed):
     with pytest.raises(ValueError, match="invariants"):
