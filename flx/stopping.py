@@ -50,6 +50,9 @@ def ended_by_signals() -> Iterator[None]:
         yield
         return
     keeping(_nothing)
+    tqdm.set_lock(
+        threading.RLock()
+    )  # its own is also one of processes, which Python 3.14 misses at such an end
     receiver, sender = socket.socketpair()
     sender.setblocking(False)  # the system writes to it, in whatever it interrupts
     before = signal.set_wakeup_fd(sender.fileno())
@@ -111,16 +114,17 @@ def _receive(receiver: socket.socket) -> None:
                 _noting.signal, _noting = received[0], None
                 receiver.settimeout(PATIENCE)
             elif received[0] in SIGNALS:
-                _end(received[0])
+                end_at_once(f"stopped by {signal.Signals(received[0]).name}", 128 + received[0])
 
 
-def _end(number: int) -> None:
+def end_at_once(why: str, status: int) -> None:
+    """End the process, from any thread, with a line that says why, what is kept, and how to go on."""
     try:
         kept = _kept()
     except Exception:  # whatever it counts may be changing
         kept = "what was written whole is kept; the same command starts again"
-    _say(f"stopped by {signal.Signals(number).name}; {kept}", lambda: _leave(128 + number))
-    _leave(128 + number)
+    _say(f"{why}; {kept}", lambda: _leave(status))
+    _leave(status)
 
 
 def _leave(status: int) -> None:

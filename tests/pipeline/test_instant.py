@@ -267,6 +267,8 @@ def test_what_cannot_be_followed_is_refused(tmp_path, monkeypatch, patches, cont
         }
         for of in (patches, controls)
     )
+    if "square.obj" in message:  # which gets coordinates first
+        pytest.importorskip("xatlas", reason="xatlas is not installed: pip install '.[uv]'")
     with pytest.raises(ValueError) as refusal:
         patch_generator(BALL, Patches(vertices=300, **patches), controls=Controls(**controls))
     assert str(refusal.value) == message

@@ -39,7 +39,7 @@ def test_results_are_put_in_the_order_of_their_tasks():
 
 
 def test_an_error_comes_back_with_the_place_where_it_was_raised():
-    with pytest.raises(ValueError, match="math domain error") as error:
+    with pytest.raises(ValueError, match=r"math domain error|nonnegative") as error:
         list(in_processes(math.sqrt, (), [(-1,), (4,)], 2))
     assert "workers.py" in error.value.__notes__[0]
 
