@@ -18,7 +18,13 @@ if TYPE_CHECKING:
     from flx.training.run import Run
 
 
-def learn(experiment: Experiment, root: Path = Path("runs"), workers: int | None = None) -> "Run":
+def learn(
+    experiment: Experiment,
+    root: Path = Path("runs"),
+    workers: int | None = None,
+    devices: int | None = None,
+    hosts: str | None = None,
+) -> "Run":
     """Train what the experiment describes, resuming where it stopped; return its run.
 
     Args:
@@ -26,6 +32,9 @@ def learn(experiment: Experiment, root: Path = Path("runs"), workers: int | None
         root: The folder of runs; the run's own is named after the experiment.
         workers: Processes that prepare the copies of a mesh; as many as processors and memory allow, at most
             8, unless given.
+        devices: Devices that share the copies of a step; as many of this machine as can by default.
+        hosts: Which of several processes this is, as "0/2@10.0.0.1:1234": the first of two, reached there;
+            "auto" under Slurm, Open MPI, Kubernetes or on a TPU pod. Call it before anything is computed.
 
     Raises ValueError for an experiment that cannot be trained, or not on this machine, and where a run of
     that name is another one.
@@ -39,14 +48,19 @@ def learn(experiment: Experiment, root: Path = Path("runs"), workers: int | None
     if not isinstance(experiment, FLDMExperiment | FLVAEExperiment):
         given = briefly(experiment)
         raise ValueError(f"experiment is {given}; give an FLDMExperiment, such as flx.quick('bowl.glb')")
+    devices = None if devices is None else whole("--devices", devices, 1)
     if isinstance(experiment, FLVAEExperiment):
+        if hosts is not None or devices not in (None, 1):
+            raise ValueError("an FL-VAE is trained on one device; leave out --devices and --hosts")
         from flx.training.flvae import learn_flvae
 
         return learn_flvae(experiment, root)
     check_memory(experiment.surface.vertices, experiment.surface.copies)
     from flx.training.fldm import learn_fldm
+    from flx.training.hosts import joined
 
-    return learn_fldm(experiment, root, workers)
+    with joined(hosts) as host:
+        return learn_fldm(experiment, root, workers, devices, host)
 
 
 def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
@@ -61,6 +75,8 @@ def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
     def train(
         what: tyro.conf.Positional[Path],
         workers: int | None = None,
+        devices: int | None = None,
+        hosts: str | None = None,
         experiment: Annotated[type(default), tyro.conf.arg(name="")] = default,  # pyright: ignore
     ) -> Callable[[], None]:
         """Learn a mesh. The same command goes on where it was stopped.
@@ -72,9 +88,12 @@ def command(arguments: Sequence[str]) -> Callable[..., Callable[[], None]]:
             what: A mesh file (.glb, .gltf, .obj or .ply), or a config such as experiments/demo.py.
             workers: Processes that prepare the copies of a mesh; as many as processors and memory allow, at
                 most 8, unless given.
+            devices: Devices that share the copies of a step; as many of this machine as can by default.
+            hosts: Which of several processes this is: 0/2@10.0.0.1:1234 is the first of two, which is reached
+                there; auto under Slurm, Open MPI, Kubernetes or on a TPU pod.
         """
         chosen = experiment if named else _named_after_mesh(experiment, default)
-        return lambda: _run(chosen, workers)
+        return lambda: _run(chosen, workers, devices, hosts)
 
     return train
 
@@ -98,8 +117,8 @@ def _experiment(path: Path) -> Experiment:
     return read_config(path)
 
 
-def _run(experiment: Experiment, workers: int | None = None) -> None:
-    run = learn(experiment, workers=workers)
+def _run(experiment: Experiment, workers: int | None, devices: int | None, hosts: str | None) -> None:
+    run = learn(experiment, workers=workers, devices=devices, hosts=hosts)
     if isinstance(experiment, FLDMExperiment):
         print(
             f"{run.folder}: learnt; flx sample {shlex.quote(str(run.folder))} makes new textures",

@@ -43,7 +43,7 @@ class Checkpoints:
             shutil.rmtree(torn)
         torn = self.folder / f"{TORN}{os.getpid()}.{step}"
         with naming_a_full_disk(self.folder / str(step)):
-            with ocp.StandardCheckpointer() as writer:
+            with ocp.StandardCheckpointer(multiprocessing_options=_alone()) as writer:
                 writer.save((torn / STATE).absolute(), tensors)
             (torn / DIGEST).write_text(content_digest(tensors, str(step)))
             if (self.folder / str(step)).exists():  # a damaged one
@@ -82,6 +82,16 @@ class Checkpoints:
         return {int(path.name): path for path in folders if path.name.isascii() and path.name.isdecimal()}
 
 
+def _alone() -> ocp.options.MultiprocessingOptions:
+    """Orbax waits for no other process: one saves and restores for all."""
+    if jax.process_count() == 1:
+        return ocp.options.MultiprocessingOptions()
+    mine = jax.process_index()
+    return ocp.options.MultiprocessingOptions(
+        mine, active_processes={mine}, barrier_sync_key_prefix=str(mine)
+    )
+
+
 def _named(state: Any) -> Tensors:
     """The leaves by the names of their places."""
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in jax.tree.leaves_with_path(state)}
@@ -111,7 +121,7 @@ def _shaped(tensors: Tensors, template: Any, path: Path) -> Any:
 def _read(path: Path, step: int) -> Tensors:
     """Raises ValueError, with a reason in one line, for a damaged checkpoint."""
     try:
-        with ocp.StandardCheckpointer() as reader:
+        with ocp.StandardCheckpointer(multiprocessing_options=_alone()) as reader:
             there: Any = reader.metadata((path / STATE).absolute()).item_metadata
             host = {name: np.empty(leaf.shape, leaf.dtype) for name, leaf in there.tree.items()}
             tensors: Tensors = reader.restore((path / STATE).absolute(), host)

@@ -37,6 +37,8 @@ from flx.pipeline.generator import (
 from flx.pipeline.labels import Labels, in_words, read_labels
 from flx.pipeline.masks import Kept, intact_masses, read_damage, without_damage
 from flx.stopping import keeping
+from flx.training.devices import devices_for
+from flx.training.hosts import Host, leader_first
 from flx.training.log import say
 from flx.training.loop import LossFn, averaged, kept, restore, train
 from flx.training.run import Run, open_run
@@ -61,15 +63,25 @@ class MeshBatch(NamedTuple):
     labels: Any = None  # Int32 [B, V]
     direction: Any = None  # Complex64 [B, V]
     masses: Any = None  # Float32 [B, V], of vertices in the loss, where some of the texture is damaged
+    rows: Any = None  # Int32 [B], numbers of the copies in the whole batch; 0, 1, … unless given
 
 
-def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = None) -> Run:
+def learn_fldm(
+    experiment: FLDMExperiment,
+    root: Path,
+    workers: int | None = None,
+    number: int | None = None,
+    host: Host | None = None,
+) -> Run:
     """Prepare the asset (cached), then train a field-latent diffusion model on its copies.
 
-    The run folder gets `generator.safetensors` at each checkpoint. Raises ValueError where the experiment's
-    network does not fit its FL-VAE, before anything is made.
+    The run folder gets `generator.safetensors` at each checkpoint. `number` devices of each process share a
+    batch, as many as can unless given; `host` is this process among those of the training. Raises ValueError
+    where the experiment's network does not fit its FL-VAE, and where the devices cannot share a batch, before
+    anything is made.
     """
-    surface, config = experiment.surface, experiment.train
+    surface, config, host = experiment.surface, experiment.train, host or Host()
+    devices = devices_for(config.batch, config.accumulate, number, host)
     codec = load_codec(experiment.weights)
     asset = read_source(surface)
     labelled = read_labels(Path(surface.labels), asset) if surface.labels else None
@@ -78,26 +90,35 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     experiment = completed(experiment, codec, labelled, drawn)
     network = network_of(experiment.model)
     fingerprint = fingerprint_of(asset, codec, surface)
-    run = open_run(root, experiment, fingerprint)
-    asset = keep(asset, run, surface)
+    with leader_first(host, "run"):
+        run = open_run(root, experiment, fingerprint) if host.leads else Run(root / experiment.name)
+        asset = keep(asset, run, surface) if host.leads else asset
     rules = experiment.model, labelled, drawn, intact, workers
-    copies, scaling, home, labels, direction = load_copies(run, asset, surface, codec, *rules)
+    with leader_first(host, "copies"):
+        copies, scaling, home, labels, direction = load_copies(run, asset, surface, codec, *rules)
     keeping(lambda: kept(run))
     source = source_of(run, surface, asset)
     seen = reach(home.tables, network.blocks)
     say(f"{run.folder}: blocks {network.blocks}, each vertex sees {seen:.1%} of the vertices")
+    if devices.count > 1:
+        say(f"{run.folder}: {config.batch} copies a step on {devices}")
     if labels:
         say(f"{run.folder}: {surface.labels} has {in_words(labels, home.tables)}")
     if direction is not None:
         say(f"{run.folder}: direction {surface.direction}, at {(direction != 0).mean():.1%} of the vertices")
 
+    mine = devices.rows(config.batch)
+
     def batches(step: int) -> MeshBatch:
         rng = np.random.default_rng([config.seed, step])
-        chosen = rng.choice(surface.copies, config.batch, replace=config.batch > surface.copies)
+        rows = np.arange(config.batch, dtype=np.int32)
+        chosen = rng.choice(surface.copies, config.batch, replace=config.batch > surface.copies)[mine]
         tables, means, spreads, *seen = copies.at(chosen)
-        latents = means if spreads is None else drawn_codes(means, spreads, rng)
+        if spreads is not None:
+            each = (np.random.default_rng([config.seed, step, row]) for row in rows[mine])
+            means = np.stack([drawn_codes(*row) for row in zip(means, spreads, each, strict=True)])
         times = draw_times(experiment.model, config.seed, step * config.batch, config.batch)
-        return MeshBatch(tables, latents, times, *seen)
+        return MeshBatch(tables, means, times[mine], *seen, rows=rows[mine])
 
     def save(step: int, params: Any) -> None:
         parts = scaling, codec, home, source, step, labels, direction
@@ -111,7 +132,7 @@ def learn_fldm(experiment: FLDMExperiment, root: Path, workers: int | None = Non
     start = first.tables, first.latents, jnp.float32(1)
     seen = conditions_of(experiment.model, first.labels, first.direction)
     params = jax.jit(network.init)(jax.random.key(config.seed), *start, *seen)
-    state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save)
+    state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save, devices)
     if not run.generator.exists():  # an earlier version trained it
         save(int(state.step), averaged(state, params))
     return run
@@ -252,7 +273,8 @@ def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
     alphas = jnp.asarray(schedule(model), jnp.float32)
 
     def one(params, copy: MeshBatch, key: Array) -> Array:
-        tables, latents, t, labels, direction, masses = copy
+        tables, latents, t, labels, direction, masses, row = copy
+        key = jax.random.fold_in(key, row)  # whatever device or part of the batch the copy is in
         noise = tangent_noise(key, latents.shape)
         noisy = diffusion.diffuse(latents, noise, alphas[t])
         rho, vectors = conditions_of(model, labels, direction)
@@ -266,10 +288,11 @@ def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
         return error / alphas[t] if model.predicts == "velocity" else error
 
     def loss(params: Any, batch: MeshBatch, key: Array) -> tuple[Array, dict[str, Array]]:
-        if batch.latents.shape[0] == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
+        count = batch.latents.shape[0]
+        if batch.rows is None:
+            batch = batch._replace(rows=jnp.arange(count))
+        if count == 1:  # a batch of one by vmap costs XLA:CPU a quarter more
             return one(params, jax.tree.map(lambda a: a[0], batch), key), {}
-        keys = jax.random.split(key, batch.latents.shape[0])
-        each = jax.vmap(one, (None, 0, 0))(params, batch, keys)
-        return jnp.mean(each), {}
+        return jnp.mean(jax.vmap(one, (None, 0, None))(params, batch, key)), {}
 
     return loss

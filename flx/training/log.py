@@ -55,10 +55,7 @@ class Log:
 
     def add(self, step: int, scalars: dict[str, Array]) -> None:
         """Take the scalars of a step, waiting for it; raise FloatingPointError where one is not finite."""
-        scalars = jax.device_get(scalars)
-        values = {name: float(scalars[name]) for name in ("loss", *scalars)}
-        if wrong := [f"{name} = {value}" for name, value in values.items() if not math.isfinite(value)]:
-            raise FloatingPointError(self._not_finite(step, ", ".join(wrong)))
+        values = finite(self._run, self._config, self._checkpoints, step, scalars)
         self._step = step
         self._rows.append(values)
         self._show(values["loss"])
@@ -112,14 +109,38 @@ class Log:
             mean, self._unsaid, self._spoke = _mean(self._unsaid), [], now
             say(f"step {self._step}/{self._config.steps}, loss {mean:.4g}, {pace:.3g} s a step, {left} left")
 
-    def _not_finite(self, step: int, wrong: str) -> str:
-        latest = self._checkpoints.latest_step
+
+class Silent:
+    """The log of a process that does not write: it only stops a training whose numbers are not finite."""
+
+    def __init__(self, run: Run, config: Train, checkpoints: Checkpoints):
+        self._parts = run, config, checkpoints
+
+    def add(self, step: int, scalars: dict[str, Array]) -> None:
+        finite(*self._parts, step, scalars)
+
+    def write(self) -> None: ...
+
+    def finish(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def finite(
+    run: Run, config: Train, checkpoints: Checkpoints, step: int, scalars: dict[str, Array]
+) -> dict[str, float]:
+    """The scalars of a step, waiting for it, the loss first; FloatingPointError where one is not finite."""
+    scalars = jax.device_get(scalars)
+    values = {name: float(scalars[name]) for name in ("loss", *scalars)}
+    if wrong := [f"{name} = {value}" for name, value in values.items() if not math.isfinite(value)]:
+        latest = checkpoints.latest_step
         saved = "there is no checkpoint yet" if latest is None else f"the last checkpoint is step {latest}"
-        clip = "lower train.clip" if self._config.clip else "set train.clip to 1"
-        return (
-            f"{self._run.folder}: step {step} gave {wrong}; {saved}; lower train.learning_rate "
-            f"({self._config.learning_rate:g}) or {clip}, under another --name"
+        raise FloatingPointError(
+            f"{run.folder}: step {step} gave {', '.join(wrong)}; {saved}; lower train.learning_rate "
+            f"({config.learning_rate:g}) or {'lower train.clip' if config.clip else 'set train.clip to 1'}, "
+            "under another --name"
         )
+    return values
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -22,13 +22,14 @@ from jaxtyping import Int32, UInt32
 from flx.config import Train
 from flx.stopping import Noted
 from flx.training.checkpoint import Checkpoints
-from flx.training.log import Log, say
+from flx.training.devices import Devices, devices_for
+from flx.training.log import Log, Silent, say
 from flx.training.optimizer import learning_rate, make_optimizer
 from flx.training.run import Run, only_trainer
 from flx.training.stacks import Stacks, stacked, unstacked
 
 LossFn = Callable[[Any, Any, Array], tuple[Array, dict[str, Array]]]  # parameters, batch, key → loss, metrics
-Batches = Callable[[int], Any]  # step → arrays, always the same for a step
+Batches = Callable[[int], Any]  # step → this process's rows of the batch, always the same for a step
 
 
 class TrainState(NamedTuple):
@@ -74,12 +75,11 @@ def make_step(
     The parameters that `loss_fn` takes have the shapes of `like`.
     The decay of the average is min(ema, (1 + n)/(10 + n)) at step n: it soon forgets the initial parameters.
     """
-    optimizer = make_optimizer(config)
+    optimizer, slope = make_optimizer(config), in_parts(loss_fn, config.accumulate)
 
     def step(state: TrainState, batch: Any) -> tuple[TrainState, dict[str, Array]]:
         n = state.step
         key = jax.random.fold_in(jax.random.wrap_key_data(state.key), n)
-        slope = jax.value_and_grad(loss_fn, has_aux=True)
         (loss, metrics), gradient = slope(unstacked(state.params, like), batch, key)
         gradient = stacked(gradient, config.optimizer == "muon")
         updates, moments = optimizer.update(gradient, state.optimizer, state.params)
@@ -94,6 +94,29 @@ def make_step(
     return step
 
 
+def in_parts(loss_fn: LossFn, parts: int) -> Callable[[Any, Any, Array], Any]:
+    """((loss, metrics), gradient) of a batch, worked on in parts: the loss is a mean over the batch's rows.
+
+    Part i has every row i + parts·n: where devices share the rows, they share each part.
+    """
+    whole = jax.value_and_grad(loss_fn, has_aux=True)
+    if parts == 1:
+        return whole
+
+    def slope(params: Any, batch: Any, key: Array) -> Any:
+        each = jax.tree.map(lambda a: a.reshape(-1, parts, *a.shape[1:]).swapaxes(0, 1), batch)
+        first = jax.tree.map(lambda a: a[0], each)
+        none = jax.tree.map(jnp.zeros_like, jax.eval_shape(whole, params, first, key))
+
+        def add(total: Any, part: Any) -> tuple[Any, None]:
+            return jax.tree.map(jnp.add, total, whole(params, part, key)), None
+
+        total, _ = jax.lax.scan(add, none, each)
+        return jax.tree.map(lambda a: a / parts, total)
+
+    return slope
+
+
 def train(
     run: Run,
     config: Train,
@@ -101,57 +124,74 @@ def train(
     loss_fn: LossFn,
     batches: Batches,
     save: Callable[[int, Any], None] | None = None,
+    devices: Devices | None = None,
 ) -> TrainState:
     """Train from the newest checkpoint, or from `init_params`, to `config.steps`; return the state there.
 
     `loss_fn(params, batch, key) → (loss, scalars by name)` is pure; `batches(step)` is a pytree of fresh
     arrays, of the same shapes at each step, made in a thread of its own. `save(step, averaged parameters)` is
     called at each checkpoint. On a signal to stop, the step is finished, its state saved and SystemExit(128 +
-    signal) raised; a second one acts at once.
+    signal) raised; a second one acts at once. Of several processes, the leading one writes, and all stop at
+    the same step. On one device unless `devices` are given.
     Raises FloatingPointError at the first step with a number that is not finite (the checkpoint before it
     stays), and ValueError where another process trains here.
     """
-    with only_trainer(run):
+    devices = devices or devices_for(config.batch, wanted=1)
+    host = devices.host
+    with only_trainer(run) if host.leads else contextlib.nullcontext():
         checkpoints = Checkpoints(run.checkpoints)
         state = initial_state(config, init_params)
-        if restored := checkpoints.restore_latest(state):
-            state = jax.device_put(restored[1])
+        if host.leads and (restored := checkpoints.restore_latest(state)):
+            state = restored[1]
             say(f"{run.folder}: resumed at step {restored[0]} of {config.steps}")
+        state = devices.on_each(state)
         done = int(state.step)
         if done >= config.steps:
             return state
-        with contextlib.closing(_prefetch(batches, done, config.steps)) as feed:
+        with contextlib.closing(_prefetch(batches, devices, done, config.steps)) as feed:
             batch = next(feed)
             began = time.monotonic()
             step = (
-                jax.jit(make_step(config, loss_fn, init_params), donate_argnums=0)
-                .lower(state, batch)
+                jax.jit(_heeding(make_step(config, loss_fn, init_params)), **devices.rules, donate_argnums=0)
+                .lower(state, batch, devices.each_says(0))
                 .compile()
             )
-            say(f"{run.folder}: compiled the train step in {time.monotonic() - began:.1f} s")
-            with Noted() as stop, contextlib.closing(Log(run, config, done, checkpoints)) as log:
-                under_way = None  # the scalars of the step that the device works on
+            if host.leads:
+                say(f"{run.folder}: compiled the train step in {time.monotonic() - began:.1f} s")
+            report = Log(run, config, done, checkpoints) if host.leads else Silent(run, config, checkpoints)
+            with Noted() as stop, contextlib.closing(report) as log:
+                under_way, heard, signal = None, 0, None  # the scalars of the step that the device works on
                 while True:
-                    state, scalars = step(state, batch)
+                    state, scalars, hears = step(state, batch, devices.each_says(stop.signal or 0))
                     if under_way:
                         log.add(done, under_way)  # waits for the step before: the host runs one step ahead
-                    done, under_way = done + 1, scalars
-                    last = done == config.steps or stop.signal is not None
+                    # Several processes must stop at the same step: when all have heard of it.
+                    signal = stop.signal if host.count == 1 else int(heard) or None
+                    done, under_way, heard = done + 1, scalars, hears
+                    last = done == config.steps or signal is not None
                     if last or done % config.checkpoint_every == 0:
                         log.add(done, under_way)  # first: a state that is not finite is never saved
                         log.write()
-                        if save is not None:  # first: what it writes is never behind a checkpoint
-                            save(done, averaged(state, init_params))
-                        checkpoints.save(done, state)
+                        if host.leads:
+                            ours = devices.here(state)
+                            if save is not None:  # first: what it writes is never behind a checkpoint
+                                save(done, averaged(ours, init_params))
+                            checkpoints.save(done, ours)
                         under_way = None
                     if last:
                         log.finish()
                         break
                     batch = next(feed)
-        if stop.signal is not None and done < config.steps:
-            say(f"{run.folder}: stopped, saved at step {done}; the same command goes on from there")
-            raise SystemExit(128 + stop.signal)
-        return state
+        if signal is not None and done < config.steps:
+            if host.leads:
+                say(f"{run.folder}: stopped, saved at step {done}; the same command goes on from there")
+            raise SystemExit(128 + signal)
+        return devices.here(state)
+
+
+def _heeding(step: Callable[[TrainState, Any], tuple[TrainState, dict[str, Array]]]) -> Callable[..., Any]:
+    """The step with, for each device, a signal that its process received, or 0; returns the largest, too."""
+    return lambda state, batch, signals: (*step(state, batch), jnp.max(signals))
 
 
 def kept(run: Run) -> str:
@@ -161,14 +201,16 @@ def kept(run: Run) -> str:
     return f"{run.folder}: {saved}; the same command goes on from there"
 
 
-def _prefetch(batches: Batches, first: int, last: int, depth: int = 2) -> Generator[Any, None, None]:
-    """The batches of steps [first, last) on the device, made `depth` ahead; raises what `batches` raises."""
+def _prefetch(
+    batches: Batches, devices: Devices, first: int, last: int, depth: int = 2
+) -> Generator[Any, None, None]:
+    """The batches of steps [first, last) on the devices, made `depth` ahead; raises what `batches` raises."""
     pool = ThreadPoolExecutor(1, thread_name_prefix="batches")
     waiting = deque()
     try:
         for step in range(first, last + depth):
             if step < last:
-                waiting.append(pool.submit(lambda n: jax.device_put(batches(n)), step))
+                waiting.append(pool.submit(lambda n: devices.spread(batches(n)), step))
             if step >= first + depth:
                 yield waiting.popleft().result()
     finally:

@@ -28,6 +28,7 @@ from flx.pipeline.tensors import one_line
 STEERING = {
     "train.steps": "its cosine schedule now has that length",
     "train.batch": "it goes on with that batch",
+    "train.accumulate": "",
     "surface.copies": "it goes on with that many",  # only more: the seeds of the first ones stay the same
     "surface.up": "",
     "train.log_every": "",

@@ -13,13 +13,13 @@ from flx.training.run import Run
 
 def test_a_model_that_cannot_be_made_leaves_no_run_behind(tmp_path):
     with pytest.raises(ValueError, match="invariants"):
-        learn(FLVAEExperiment(model=FLVAE(encoder="frame")), tmp_path)
+        learn(FLVAEExperiment(model=FLVAE(invariants=2)), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 def test_the_next_command_is_told_as_a_shell_takes_it(monkeypatch, capsys):
-    monkeypatch.setattr(train, "learn", lambda experiment, workers: Run(Path("runs/my vase")))
-    train._run(FLDMExperiment())
+    monkeypatch.setattr(train, "learn", lambda experiment, **_: Run(Path("runs/my vase")))
+    train._run(FLDMExperiment(), None, None, None)
     assert "; flx sample 'runs/my vase' makes" in capsys.readouterr().err
 
 
@@ -37,6 +37,6 @@ def test_the_next_command_is_told_as_a_shell_takes_it(monkeypatch, capsys):
 )
 def test_a_run_is_named_after_the_mesh_that_it_learns(monkeypatch, words, name):
     learnt = []
-    monkeypatch.setattr(train, "_run", lambda experiment, workers: learnt.append(experiment))
+    monkeypatch.setattr(train, "_run", lambda experiment, *_: learnt.append(experiment))
     parse(["train", *words])()
     assert [experiment.name for experiment in learnt] == [name]

@@ -92,7 +92,7 @@ def test_training_sees_draws_from_the_posterior_where_they_are_asked_for(tmp_pat
     """z = μ + σ ε: the same for a step, others at each step, as far from the means as σ says."""
     path, feeds = str(colored_ball(tmp_path)), {}
 
-    def notes(run, config, params, loss, batches, save) -> TrainState:
+    def notes(run, config, params, loss, batches, *_) -> TrainState:
         feeds[run.folder.name] = batches
         return initial_state(config, params)._replace(step=jnp.int32(1))
 
