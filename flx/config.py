@@ -7,12 +7,13 @@ overrides single fields from the command line. A number out of its range is refu
 import contextlib
 import importlib.util
 import math
+import os
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from flx.arguments import check_kind, number, whole
+from flx.arguments import briefly, check_kind, number, whole
 
 Precision = Literal["bfloat16", "float32"]
 Blocks = tuple[int, int, int]  # of a network: fine before pooling, coarse, fine after
@@ -285,6 +286,8 @@ def quick(path: str | Path = "", name: str = "demo") -> FLDMExperiment:
         path: The mesh file; the embedded vase unless given.
         name: The name of the run's folder.
 
+    Raises ValueError for an asset in memory: a run learns from a file.
+
     In 1,000 steps the network learns details; motifs come from pieces of the input. Samples of the network
     alone (`flx sample --invention 1`) need 2,400 or more. Velocities and Muon learn more than the paper's
     noise and Adam in so few steps (docs/paper.md). 48 channels where the paper has 96: what two cores can
@@ -293,6 +296,11 @@ def quick(path: str | Path = "", name: str = "demo") -> FLDMExperiment:
     Example:
         flx.train(flx.quick("bowl.glb", name="bowl"))
     """
+    if not isinstance(path, str | os.PathLike):
+        raise ValueError(
+            f"path is {briefly(path)}; give the path of a file, such as one that "
+            "flx.to_trimesh(asset).export('mesh.glb') writes"
+        )
     return FLDMExperiment(
         name=name,
         model=FLDM(predicts="velocity", draws="lognormal", emphasis=0.5, channels=48, precision="float32"),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import flx
 from flx.assets.asset import Asset
@@ -62,6 +63,22 @@ def test_there_and_back_from_arrays(tmp_path):
     assert "<iframe" in flx.show(asset, back)._repr_html_()
     with pytest.raises(ValueError, match=r"give \[600, 8\]: a code for each vertex"):
         flx.paint(asset, copy, codec, np.zeros((5, 8), np.complex64))
+
+
+@pytest.mark.slow
+def test_codes_on_a_triangulation_of_ones_own_see_no_motion_of_the_mesh():
+    """`flx.triangulate` alone may give a mesh that was turned another triangulation."""
+    rng, mesh = np.random.default_rng(0), flx.vase().mesh
+    turn, codec = Rotation.random(rng=rng).as_matrix(), flx.load_codec()
+    image, own = np.asarray(mesh.textures[0]), flx.triangulate(flx.vase(), vertices=500).triangulation
+    codes = []
+    for matrix in (np.eye(3), turn):
+        asset = flx.from_arrays(mesh.vertices @ matrix.T, mesh.faces, mesh.corner_uvs, image)
+        moved = flx.Triangulation(own.vertices @ matrix.T, own.faces)
+        copy = flx.triangulate(asset, triangulation=moved)
+        np.testing.assert_array_equal(copy.triangulation.faces, own.faces)
+        codes.append(codec.encode(copy.rings))
+    assert np.median(np.abs(codes[1] - codes[0])) < 1e-3 < 0.1 < np.std(codes[0])
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Assets from arrays and from trimesh, and back: checked, repaired and written as files are."""
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,8 @@ def from_arrays(
         colors: Colours of vertices, [V, 3 or 4], of the same kinds; instead of `uvs` and `image`.
         name: Names the part in files and messages.
 
-    Raises ValueError, naming the row, for shapes, indices and numbers that cannot be used.
+    Raises ValueError, naming the row, for shapes, indices and numbers that cannot be used; warns where faces
+    are wound against each other.
 
     Example:
         asset = flx.from_arrays(vertices, faces, uvs, image=np.asarray(Image.open("bowl.png")))
@@ -77,7 +79,14 @@ def from_arrays(
     part = Part(name, 0, points[rows], None, coordinates, None if tint is None else tint[rows], corners)
     with faults_of(Path(name)):
         contents = Contents([part], [white], lambda _: content)  # pyright: ignore
-        return assemble(Path(name), contents, format="arrays")
+        asset = assemble(Path(name), contents, format="arrays")
+    if count := asset.report.disagreeing_edges:
+        warnings.warn(
+            f"{name}: at {count:,} edges two faces are wound against each other; the surface is cut there. "
+            "Wind all faces counter-clockwise seen from outside (trimesh.repair.fix_winding)",
+            stacklevel=2,
+        )
+    return asset
 
 
 def _numbers(values: ArrayLike, what: str, shape: Shape) -> Float64[Any, "..."]:

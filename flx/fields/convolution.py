@@ -1,7 +1,7 @@
 """Field convolutions, and pooling between two levels, on the padded tables of one mesh.
 
 `(X * f)_{c'}(p) = Σ_k w_pk Σ_c Y_pkc f_{c'c}(u_pkc, π(q_k))`, Y = P_{p←q} X(q), u = log_p q · conj(Y/|Y|).
-(Paper, eq. field_conv_emb. As printed, r e^{i(θ_pq − φ_q)} mixes the frames of p and q; u is the argument in
+(Paper, supplement B.2. As printed, r e^{i(θ_pq − φ_q)} mixes the frames of p and q; u is the argument in
 the frame of p. The 2021 paper's log_q p differs from ours by the factor −1.)
 
 Both filters are f_{c'c} = Σ_h W_{c'c,h} h(u, π): the sum over the ring comes first, then the dense W
@@ -45,14 +45,31 @@ def field_conv(
     """Convolve vector fields with a filter bank that also depends on a scalar embedding π at q.
 
     `parameters` are those of `init_filter`; `embedding` is π, one for each vertex or one for all.
-    Paper, eq. field_conv_emb.
+    Paper, supplement B.2. Raises ValueError for parameters of another filter, width or embedding.
     """
+    _check(x, parameters, embedding, filter)
     shift = parameters["shift"]
     if embedding is not None:
         shift = shift + embedding @ parameters["embedding"]
     respond = {"harmonic": _harmonic_response, "mlp": _mlp_response}[filter]
     response = respond(rings, x, shift, parameters)
     return complex_linear(response.reshape(x.shape[0], -1), parameters["output"], precision)
+
+
+def _check(x: Array, parameters: Parameters, embedding: Array | None, filter: Filter) -> None:
+    """Shapes alone: it costs nothing in a compiled program."""
+    inputs, width = parameters["input"].shape
+    if not jnp.issubdtype(x.dtype, jnp.complexfloating):
+        raise ValueError(f"x is {x.dtype}; give complex numbers, the vectors in the frames of their vertices")
+    if inputs != INPUTS[filter]:
+        other = next(name for name in INPUTS if name != filter)
+        raise ValueError(f"the parameters are not those of filter={filter!r}; use filter={other!r}")
+    if parameters["output"].shape[1] != width * x.shape[-1]:
+        channels = parameters["output"].shape[1] // width
+        raise ValueError(f"x has {x.shape[-1]} channels, but the parameters are for {channels}")
+    if (embedding is not None) != ("embedding" in parameters):
+        needed = "need an embedding" if embedding is None else "take no embedding; see init_filter"
+        raise ValueError(f"the parameters {needed}")
 
 
 def init_filter(

@@ -53,7 +53,7 @@ def lognormal_steps(
 def diffuse(
     z: Complex[Array, "*B"], noise: Complex[Array, "*B"], alpha: Float[Array, ""]
 ) -> Complex[Array, "*B"]:
-    """Z_t = √α_t Z + √(1−α_t) ε (paper, eq. 7)."""
+    """Z_t = √α_t Z + √(1−α_t) ε (paper, eq. 8)."""
     return jnp.sqrt(alpha) * z + jnp.sqrt(1 - alpha) * noise
 
 

@@ -57,7 +57,11 @@ def make_copy(mesh: TexturedMesh, vertices: int, samples: int, slots: int, seed:
     The same seed gives the same bits. Raises ValueError if the mesh cannot be remeshed to so few vertices, or
     a ring needs more than `slots` slots.
     """
-    triangulation = remesh(mesh.vertices, mesh.faces, vertices, seed)
+    return copy_on(mesh, remesh(mesh.vertices, mesh.faces, vertices, seed), samples, slots, seed)
+
+
+def copy_on(mesh: TexturedMesh, triangulation: Triangulation, samples: int, slots: int, seed: int) -> Copy:
+    """The tables of a triangulation of the mesh's surface, and `samples` colours in each of its one-rings."""
     tables = mesh_tables(triangulation, slots=slots, seed=seed)
     return Copy(triangulation, tables, sample_rings(mesh, triangulation, samples, seed))
 

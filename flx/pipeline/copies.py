@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Complex64, Float32
 from tqdm import tqdm
 
-from flx.arguments import whole
+from flx.arguments import check_kind, whole
 from flx.assets.asset import Asset, check_asset
 from flx.config import Surface
 from flx.files import refuse_folder, write_atomically
@@ -25,19 +25,26 @@ from flx.types import MeshTables, TexturedMesh, Triangulation
 
 
 def triangulate(
-    asset: Asset, vertices: int = 5000, seed: int = 0, samples: int = 64, slots: int = 16
+    asset: Asset,
+    vertices: int = 5000,
+    seed: int = 0,
+    samples: int = 64,
+    slots: int = 16,
+    triangulation: Triangulation | None = None,
 ) -> copies.Copy:
     """A random triangulation of the asset's surface, its gather tables, and colours in its one-rings.
 
     Args:
         asset: A mesh file from `flx.load`, or another asset.
         vertices: Their exact number; details smaller than a one-ring are lost.
-        seed: Every seed gives another triangulation. Same seed, same machine: same bits.
+        seed: Every seed gives another triangulation. Same seed, same machine: same bits. A mesh that was
+            turned or moved may get another one, by rounding: to compare codes, give both the same.
         samples: Colours in each one-ring; 64 for the released FL-VAE.
         slots: The most neighbours of a vertex, itself included.
+        triangulation: One of yours instead, on the asset's surface or close to it; `vertices` is not used.
 
-    Raises ValueError where the surface has no triangulation of so few vertices, and for more than fit into
-    this machine's memory.
+    Raises ValueError where the surface has no triangulation of so few vertices, for more than fit into this
+    machine's memory, and for a triangulation that is not a surface.
 
     Example:
         copy = flx.triangulate(asset, vertices=5000)
@@ -48,6 +55,9 @@ def triangulate(
     seed, slots = whole("seed", seed), whole("slots", slots, 4)
     copies.check_memory(vertices)
     check_repeats(asset.mesh)
+    if triangulation is not None:
+        check_kind("triangulation", triangulation, Triangulation, "an flx.Triangulation(vertices, faces)")
+        return copies.copy_on(with_filled_gutters(asset.mesh), triangulation, samples, slots, seed)
     return copies.make_copy(with_filled_gutters(asset.mesh), vertices, samples, slots, seed)
 
 

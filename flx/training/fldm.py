@@ -265,7 +265,7 @@ def conditions_of(model: FLDM, labels: Any, direction: Any) -> tuple[Array | Non
 
 
 def diffusion_loss(model: FLDM, network: UNet) -> LossFn:
-    """E ‖ε − ε̂(Z_t, t)‖² at the t of each copy (paper, eq. 8), per real coordinate: 1 for ε̂ = 0.
+    """E ‖ε − ε̂(Z_t, t)‖² at the t of each copy (paper, eq. 10), per real coordinate: 1 for ε̂ = 0.
 
     Where velocities are predicted it is their error, ‖v − v̂‖² = ‖ε − ε̂‖² / α_t: it also counts the large
     structure, which is decided where there is so much noise that ε says nothing about it.

@@ -197,3 +197,11 @@ def test_a_sheet_is_what_an_obj_of_it_would_be(tmp_path):
     for name, words in (("bad.png", "is of no known kind"), ("gone.png", "does not exist; put it there")):
         with pytest.raises(ValueError, match=words):
             sheet_asset(tmp_path / name)
+
+
+def test_faces_that_are_wound_against_each_other_are_told():
+    vertices, faces = icosphere(2)
+    turned = faces.copy()
+    turned[::7] = turned[::7, ::-1]
+    with pytest.warns(UserWarning, match=r"wound against each other.*fix_winding"):
+        from_arrays(vertices, turned, colors=np.full((len(vertices), 3), 0.5))

@@ -1,6 +1,7 @@
 """Laws of the field convolutions and of pooling, against a reference in plain loops."""
 
 import functools
+import re
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from helpers.frames import field, padded, relative, tables_of, turned
 from helpers.surfaces import icosphere, square_grid, torus
 
 from flx.fields.algebra import tangent_noise
-from flx.fields.convolution import SMOOTHING, field_conv, init_filter, pool, unpool
+from flx.fields.convolution import SMOOTHING, _check, field_conv, init_filter, pool, unpool
 from flx.types import OneRings, Pooling
 
 FILTERS = ("harmonic", "mlp")
@@ -289,3 +290,20 @@ def test_pooling_gradients_are_those_of_autodiff(surface):
         assert relative(jax.grad(loss, 1)(ours, x), jax.grad(loss, 1)(theirs, x)) < 1e-5
         program = jax.jit(jax.grad(loss, 1), static_argnums=0).lower(ours, x).as_text()
         assert "stablehlo.scatter" not in program
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"filter": "mlp"}, "not those of filter='mlp'; use filter='harmonic'"),
+        ({"x": field(4, 3)}, "x has 3 channels, but the parameters are for 2"),
+        ({"x": jnp.zeros((4, 2))}, "x is float32; give complex numbers"),
+        ({"embedding": jnp.zeros(5)}, "the parameters take no embedding"),
+    ],
+)
+def test_what_does_not_belong_to_the_parameters_is_refused(changed, message):
+    bank = init_filter(jax.random.key(0), channels=2, features=3)
+    given = {"x": field(4, 2), "embedding": None, "filter": "harmonic"}
+    _check(parameters=bank, **given)
+    with pytest.raises(ValueError, match=re.escape(message)):
+        _check(parameters=bank, **given | changed)

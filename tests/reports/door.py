@@ -246,6 +246,7 @@ CALLS = [
     # train
     *(Call(f"train: {what}", lambda t, value=value: flx.train(value, t.folder), "experiment is .*; give an FLDMExperiment") for what, value in (*ODD, ("a path", "bowl.glb"), ("a Surface", flx.Surface()))),
     *(Call(f"train: {n!r} workers", lambda t, n=n: flx.train(flx.quick(), t.folder, n), "workers is .*; give") for n in (0, -1, 1.5, "2")),
+    Call("quick: an asset", lambda _: flx.quick(flx.vase()), "path is an Asset; give .*export"),
     Call("train: no root", lambda _: flx.train(flx.quick(), None), "root is None; give the folder"),
     Call("train: a name with a slash", lambda t: flx.train(flx.quick(name="a/b"), t.folder), "not a folder name"),
     # settings

@@ -82,7 +82,7 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """The colour field around a vertex: an MLP on log·z̄ and the upper triangle of z z* (paper, eq. 4)."""
+    """The colour field around a vertex: an MLP on log·z̄ and the upper triangle of z z* (paper, eq. 5)."""
 
     config: FLVAE
 
