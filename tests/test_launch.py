@@ -296,6 +296,8 @@ def test_it_is_refused_before_jax_is_loaded(tmp_path):
     [
         (["train", SMOKE, "--train.stepz", "3"], "no option --train.stepz; --train.steps is the nearest one"),
         (["sample", "--cuont", "3"], "there is no option --cuont; --count is the nearest one"),
+        (["sample", "--instnat"], "there is no option --instnat; --instant is the nearest one"),
+        (["sample", "--count", "0"], "--count is 0; give at least 1"),
         (["sample", "--bogus=3"], "no option --bogus; `flx sample --help-all` lists what there is"),
         (["sample", "a", "b"], "'b' is one word too many; `flx sample --help-all` lists what there is"),
         (["doctor"], "doctor needs PATH: a .glb, .gltf, .obj or .ply file"),
@@ -347,7 +349,7 @@ def test_a_mesh_needs_no_config(vase, monkeypatch, capsys):
     """The demo's settings, the run named after the file; every field is an option all the same."""
     learnt = []
 
-    def learn(experiment, root=Path("runs"), workers=None):
+    def learn(experiment, root=Path("runs"), workers=None, **_):
         learnt.append((experiment, workers))
         return Run(root / experiment.name)
 

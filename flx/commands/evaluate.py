@@ -8,6 +8,7 @@ import numpy as np
 from tqdm import tqdm
 from tyro.conf import Positional
 
+from flx.arguments import whole
 from flx.commands.output import digest, digests, own_folder, settings
 from flx.commands.stages import Stages
 from flx.config import STEPS, Comparison, Sampler
@@ -80,8 +81,8 @@ def judge(options: Evaluate, source: Path | None) -> Path:
             raise ValueError(f"{name} {value} is for samples that flx makes; leave out --{name} or --samples")
     if options.reconstruction:
         raise ValueError(f"give {source} or --reconstruction, not both: they measure different things")
-    if options.count < 1 or options.steps < 1:
-        raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
+    for name in ("count", "steps"):
+        whole(f"--{name}", getattr(options, name), 1)
     size, others, up = options.texture_size or 1024, {}, "y"
     check_size(size)
     if len({path.stem for path in options.samples}) < len(options.samples):

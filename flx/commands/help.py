@@ -59,7 +59,7 @@ def refusal(verb: str, text: str) -> str | None:
     if found := re.search(r"Error parsing [^ :]+: (.*)", words):
         return found[1].strip(" -")
     if found := re.search(r"Unrecognized options: ([^ ,=]+)", words):
-        near = re.search(r"Perhaps you meant: ([^ ]+)", words)
+        near = re.search(r"Perhaps you meant: ([^ ,]+)", words)
         if not found[1].startswith("-"):
             return f"{found[1]!r} is one word too many; {listed}"
         return f"there is no option {found[1]}; " + (f"{near[1]} is the nearest one" if near else listed)

@@ -90,8 +90,8 @@ def sample(options: Sample) -> Path:
 
     check_size(options.texture_size)
     whole("--seed", options.seed)
-    if options.count < 1 or options.steps < 1:
-        raise ValueError(f"{options.count} variations in {options.steps} steps; give at least one of each")
+    for name in ("count", "steps"):
+        whole(f"--{name}", getattr(options, name), 1)
     plan = instant_plan(options) if options.instant else learnt_plan(options)
     own, asset, kept = plan.own, plan.asset, plan.kept
     if options.variants:
@@ -256,7 +256,7 @@ def instant_plan(options: Sample) -> Plan:
     from flx.pipeline.instant import check_instant, open_canvases, painted, patch_generator
     from flx.pipeline.layout import run_guides
     from flx.pipeline.masks import kept_texels
-    from flx.pipeline.transfer import scaled_count
+    from flx.pipeline.transfer import in_words, scaled_count
     from flx.training.load import load_generator
 
     if options.texture and (options.run is None or options.run.is_dir()):
@@ -280,6 +280,8 @@ def instant_plan(options: Sample) -> Plan:
     asset = prepared_for(other or own, options.format)
     guides = run_guides(generator, asset, options.patches, options.controls) if generator else None
     check_instant(options.patches, options.controls, guides)
+    if other or options.controls.scale != 1:
+        print(in_words(options.patches.vertices, own, asset, options.controls.scale), file=sys.stderr)
 
     def paint() -> Iterator[tuple[Painting, dict[str, Any]]]:
         stages = Stages(2)

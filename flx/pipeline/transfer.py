@@ -24,7 +24,8 @@ def home_on(generator: Generator, asset: Asset, scale: float = 1.0) -> Home:
     if asset.digest == generator.asset.digest and scale == 1:
         return generator.home
     count = vertex_count(generator, asset, scale)
-    tqdm.write(in_words(generator, asset, scale), file=sys.stderr)
+    learnt = len(generator.home.triangulation.vertices)
+    tqdm.write(in_words(learnt, generator.asset, asset, scale), file=sys.stderr)
     seed = generator.experiment.surface.seed
     try:
         triangulation = remesh(asset.mesh.vertices, asset.mesh.faces, count, seed)
@@ -52,21 +53,20 @@ def scaled_count(learnt: int, source: Asset, asset: Asset, scale: float) -> int:
         bound, word = (LEAST, "less") if count < LEAST else (MOST, "more")
         wanted = scale * (max(count, 1) / bound) ** 0.5
         raise ValueError(
-            f"{asset.path} needs {count:,} vertices at scale {scale:g}, and can have {LEAST} to {MOST:,}; "
+            f"{asset.path} at scale {scale:g} has {count:,} vertices, and needs {LEAST} to {MOST:,}; "
             f"give --scale {wanted:.3g} or {word}"
         )
     return count
 
 
-def in_words(generator: Generator, asset: Asset, scale: float = 1.0) -> str:
+def in_words(learnt: int, source: Asset, asset: Asset, scale: float = 1.0) -> str:
     """Both areas, what follows from them, and the number of vertices, in one line."""
-    own, other, learnt = _area(generator.asset), _area(asset), len(generator.home.triangulation.vertices)
-    count = vertex_count(generator, asset, scale)
+    own, other, count = _area(source), _area(asset), scaled_count(learnt, source, asset, scale)
     size = "keep their size" if scale == 1 else f"are {scale:g} times as large"
     if not 1 / SAME_UNITS <= other / own <= SAME_UNITS:
         size += " relative to the whole mesh: areas so different are taken for other units"
-    areas = f"area {other:.4g}, the learnt mesh's {own:.4g}"
-    vertices = f"{count:,} vertices for {learnt:,} learnt"
+    areas = f"area {other:.4g}, that of {source.path.name} {own:.4g}"
+    vertices = f"{count:,} vertices for the {learnt:,} there"
     return f"{asset.path.name}: {areas}; {vertices}, so that details {size}"
 
 

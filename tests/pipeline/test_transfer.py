@@ -42,10 +42,12 @@ def test_the_mean_vertex_radius_grows_with_the_scale_alone(generator, scale, siz
 
 def test_other_units_are_said_and_both_areas_too(generator):
     near, far = (colored(Triangulation(f * SPHERE.vertices, SPHERE.faces)) for f in (2, 1000))
-    said = in_words(generator, near)
-    area = 4 * float(said.split("learnt mesh's ")[1].split(";")[0])
-    assert f"area {area:.4g}"[:9] in said and "648 vertices for 162 learnt" in said and "units" not in said
-    assert "162 vertices" in in_words(generator, far) and "taken for other units" in in_words(generator, far)
+    said = in_words(162, generator.asset, near)
+    area = 4 * float(said.split("that of ")[1].split(";")[0].split()[-1])
+    assert f"area {area:.4g}"[:9] in said and "648 vertices for the 162 there" in said and "units" not in said
+    assert "162 vertices" in in_words(162, generator.asset, far) and "taken for other units" in in_words(
+        162, generator.asset, far
+    )
 
 
 def test_a_scale_that_needs_too_few_or_too_many_vertices_names_one_that_does_not(generator):
