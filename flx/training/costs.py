@@ -49,5 +49,5 @@ def costs_of(experiment: FLDMExperiment) -> Costs:
         compile_seconds=COMPILE_SECONDS,
         step_seconds=step_seconds,
         train_seconds=step_seconds * train.steps,
-        train_bytes=BASE_BYTES + STEP_BYTES * work,
+        train_bytes=BASE_BYTES + STEP_BYTES * work / train.accumulate,
     )

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,8 @@ def test_the_estimate_grows_with_what_a_run_is_made_of(tmp_path):
     assert twice.copy_seconds == 2 * plan.copy_seconds and twice.disk_bytes == 2 * plan.disk_bytes
     assert twice.train_seconds == 4 * plan.train_seconds and twice.step_seconds == 2 * plan.step_seconds
     assert twice.train_bytes > plan.train_bytes
+    parts = replace(more, train=Train(steps=200, batch=2, accumulate=2))
+    assert examined(asset, parts).plan.train_bytes == twice.train_bytes
 
 
 @pytest.mark.parametrize("vertices", [100, 1000, 2500, 5000, 10_000, 20_000, 30_000])
