@@ -204,7 +204,7 @@ BAD = {
         lambda: {"direction": strokes("[[9, 0, 0], [9, 0, 1]]")},
         "direction strokes.json: ",
     ),
-    "a scale that leaves nothing": (lambda: {"scale": 9.0}, "ball.glb needs 2 vertices at scale 9"),
+    "a scale that leaves nothing": (lambda: {"scale": 9.0}, "ball.glb at scale 9 has 2 vertices"),
 }
 
 

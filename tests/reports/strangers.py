@@ -316,7 +316,7 @@ CASES = [
     Case("mesh: OFF of words", f"{FILE} --mesh b.off", "b.off", put("b.off", "OFF\none two three\n")),
     Case("mesh: NaN", f"{FILE} --mesh b.obj", "not finite", put("b.obj", "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")),
     # options
-    Case("count 0", f"{FILE} --count 0", "0 variations"),
+    Case("count 0", f"{FILE} --count 0", "--count is 0; give at least 1"),
     Case("seed -1", f"{FILE} --seed -1", "seed is -1"),
     Case("texture size 0", f"{FILE} --texture-size 0", "texture"),
     Case("texture size 10^9", f"{FILE} --texture-size 1000000000", "texture"),
