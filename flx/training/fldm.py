@@ -133,7 +133,7 @@ def learn_fldm(
     seen = conditions_of(experiment.model, first.labels, first.direction)
     params = jax.jit(network.init)(jax.random.key(config.seed), *start, *seen)
     state = train(run, config, params, diffusion_loss(experiment.model, network), batches, save, devices)
-    if not run.generator.exists():  # an earlier version trained it
+    if host.leads and not run.generator.exists():  # an earlier version trained it
         save(int(state.step), averaged(state, params))
     return run
 

@@ -147,7 +147,7 @@ def train(
         state = devices.on_each(state)
         done = int(state.step)
         if done >= config.steps:
-            return state
+            return devices.here(state)
         with contextlib.closing(_prefetch(batches, devices, done, config.steps)) as feed:
             batch = next(feed)
             began = time.monotonic()

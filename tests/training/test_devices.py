@@ -48,6 +48,13 @@ def pair(folder: Path, steps: int = 50) -> list[subprocess.Popen]:
     return [process(folder, f"{n}/2@127.0.0.1:{port}", steps) for n in range(2)]
 
 
+def pair_under_way(folder: Path) -> list[subprocess.Popen]:
+    """Two processes that have saved and go on."""
+    both = pair(folder, steps=100_000)
+    wait_until(lambda: (folder / "checkpoints" / "20").exists())
+    return both
+
+
 def state_in(folder: Path) -> Any:
     found = Checkpoints(Run(folder).checkpoints).restore_latest(initial_state(config, INIT))
     assert found
@@ -116,8 +123,7 @@ def test_two_processes_learn_what_one_does_and_one_writes(alone, tmp_path):
 @posix
 @pytest.mark.parametrize("dies", [0, 1])
 def test_when_a_process_is_killed_the_other_ends_in_one_line_and_one_alone_goes_on(dies, tmp_path):
-    both = pair(tmp_path / "cut", steps=100_000)
-    wait_until(lambda: (tmp_path / "cut" / "checkpoints" / "20").exists())
+    both = pair_under_way(tmp_path / "cut")
     both[dies].kill()
     words = said(both[1 - dies])
     assert both[1 - dies].wait(MOST) == 1
@@ -133,8 +139,7 @@ def test_when_a_process_is_killed_the_other_ends_in_one_line_and_one_alone_goes_
 @posix
 @pytest.mark.parametrize("told", [0, 1])
 def test_a_signal_to_one_process_stops_all_at_the_same_saved_step(told, tmp_path):
-    both = pair(tmp_path / "told", steps=100_000)
-    wait_until(lambda: (tmp_path / "told" / "checkpoints" / "20").exists())
+    both = pair_under_way(tmp_path / "told")
     both[told].send_signal(signal.SIGTERM)
     words = [said(child) for child in both]
     assert [child.wait(MOST) for child in both] == [143, 143], words

@@ -73,6 +73,29 @@ def test_vertices_without_mass_do_not_count_in_the_loss():
         np.testing.assert_allclose(loss({}, blind, jax.random.key(0))[0], 0, atol=1e-3)
 
 
+class Mute(Denoiser):
+    """Predicts no noise: the loss is that of the noise itself."""
+
+    @nn.compact
+    def __call__(self, tables, z, t, rho=None, direction=None):
+        return jnp.zeros_like(z)
+
+
+def test_the_noise_of_a_copy_is_that_of_its_number_whatever_it_is_worked_on_with():
+    model, tables, key = FLDM(), mesh_tables(square_grid(8)), jax.random.key(0)
+    loss = jax.jit(diffusion_loss(model, Mute(model, (1, 1, 1))))
+
+    def of(*rows: int) -> float:
+        count = len(rows)
+        batch = MeshBatch(stack([tables] * count), jnp.stack([DATA] * count), np.full(count, 500))
+        return float(loss({}, batch._replace(rows=np.array(rows, np.int32)), key)[0])
+
+    alone = [of(row) for row in range(4)]
+    assert len({round(value, 5) for value in alone}) == 4
+    np.testing.assert_allclose(of(0, 1, 2, 3), np.mean(alone), rtol=1e-5)
+    np.testing.assert_allclose(of(3, 1), np.mean([alone[3], alone[1]]), rtol=1e-5)
+
+
 @given(seed=st.integers(0, 99), first=st.integers(0, 10_000))
 def test_any_stretch_of_a_training_draws_all_noise_levels(seed, first):
     """Uniform: each tenth of the schedule has its share. Log-normal: so has each tenth of the normal."""
