@@ -5,6 +5,7 @@ A chart of a vertex is a disc in geodesic polar coordinates that begins at the v
 chart is a shift of its angles. Charts of two surfaces are compared by the sum of their weighted differences.
 """
 
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ LEAST = 10  # vertices of a source that can be used
 BEYOND = 2.0  # mean vertex radii from the nearest vertex from which a point is beyond a border
 GUARD = 3  # rings around damage that are not used either: texels are looked up that far from anchors
 SAMPLES = 24  # colours averaged in a one-ring
+AROUND = 24  # means over one-rings, by which a gradient is one of about a chart
 CHUNK = 1 << 14  # vertices whose charts are made at a time
 
 Values = Float32[Any, "*N 4"]
@@ -83,6 +85,15 @@ class Source:
         corners = self.values[self.surface.triangulation.faces[points.faces]]
         seen = np.einsum("pkc,pk->pc", corners, points.barycentrics.astype(np.float32))
         return seen.reshape(-1, ANGLES, RINGS, VALUES)
+
+    @cached_property
+    def busy(self) -> Float32[Any, "V"]:
+        """How much is going on around the vertices: the size of the gradients there, 1 on average."""
+        surface, counts = self.surface, self.surface.used.sum(1)
+        sizes = np.sqrt(np.square(np.abs(self.gradients)).sum(-1)) + np.float32(1e-6)
+        for _ in range(AROUND):
+            sizes = (sizes[surface.rings.neighbors] * surface.used).sum(1) / counts
+        return (sizes / sizes.mean()).astype(np.float32)
 
     def can_give(self, anchors: Anchors) -> Bool[Any, "*N"]:
         """Whether there is something at (settled) anchors: they are not beyond a border, nor damaged."""

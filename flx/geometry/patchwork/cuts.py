@@ -31,6 +31,7 @@ PLACES = np.array([0.0, 0.5, 1.0], np.float32)  # of an edge where its two ends 
 RIM = 6  # rings around a piece that it may take over
 LENGTH = 0.02  # cost of a seam's edge, beside the colours; without it seams fray in flat areas
 DIFFERENT = 0.03  # difference of colours from which on an edge counts as a seam
+FLAT = 0.2  # share of a difference that costs the same wherever it is
 FIXED = 1e3  # cost of what may not change
 PRECISION = 2000.0  # flow through a difference of 1
 SMALL = 3  # vertices; smaller pieces do not expand, they are taken over
@@ -75,6 +76,17 @@ class Patchwork:
         vertices, offsets, turns = (np.asarray(part)[:, None, None] for part in anchors)
         there = Anchors(np.broadcast_to(vertices, logs.shape), offsets + turns * logs, turns + 0 * logs)
         return self.source.look(there).reshape(shape)
+
+    def cost(
+        self, a: Float32[Any, "E 3 4"], b: Float32[Any, "E 3 4"], busy: Float32[Any, "E"]
+    ) -> Float32[Any, "E"]:
+        """What edges cost whose ends say `a` and `b`, in parts of the source that are `busy` so much.
+
+        A difference is seen less where much is going on (Kwatra et al. 2003): if it cost the same
+        everywhere, flat parts of a texture, which resemble anything best, would replace all others.
+        """
+        difference = _seam(a, b) / (FLAT + (1 - FLAT) * busy)
+        return difference + np.float32(LENGTH) * (difference > DIFFERENT)
 
     def costs(self) -> Float32[Any, "E"]:
         """Of all edges, both ways."""
@@ -175,7 +187,13 @@ class Patchwork:
         once = p < q
         p, slot, q, back = p[once], slot[once], q[once], back[once]
         old = self.shown[region]
-        costs = [_cost(a[p, slot], b[q, back]) for a in (old, shown) for b in (old, shown)]
+        busy = self.source.busy
+        sides = (old, busy[self.anchors.vertices[region]]), (shown, busy[new.vertices[region]])
+        costs = [
+            self.cost(a[p, slot], b[q, back], (around[p] + there[q]) / 2)
+            for a, around in sides
+            for b, there in sides
+        ]
         worse = self.misfit(new.at(region), region) - self.misfit(self.anchors.at(region), region)
         takes = _cut(p, q, costs, worse, old_only, (distance[region] == 0) & (start is None))
         changed = region[takes & (distance[region] > 0 if start is None else True)]
@@ -206,11 +224,6 @@ class Patchwork:
 def _seam(a: Float32[Any, "*E 3 4"], b: Float32[Any, "*E 3 4"]) -> Float32[Any, "*E"]:
     """The mean difference along edges, seen from their two ends."""
     return np.sqrt(np.square(a - b[..., ::-1, :]).sum(-1)).mean(-1)
-
-
-def _cost(a, b):
-    difference = _seam(a, b)
-    return difference + LENGTH * (difference > DIFFERENT)
 
 
 def _cut(

@@ -13,9 +13,9 @@ from flx.geometry.patchwork.search import Bank
 from flx.types import Triangulation
 
 MOST_BENT = 4.0  # squared difference of curvatures that counts
-OTHER = 10.0  # cost of another label
-TURNED = 10.0  # cost of the opposite direction; half as much at right angles
-LIFTED = 10.0  # cost of another height, from a difference of REACHED of the whole on
+OTHER = 20.0  # cost of another label
+TURNED = 20.0  # cost of the opposite direction; half as much at right angles
+LIFTED = 20.0  # cost of another height, from a difference of REACHED of the whole on
 REACHED = 0.25
 STOREYS = 10  # heights that charts are compared at
 AXES = ("x", "y", "z")

@@ -117,12 +117,17 @@ def support(
 class Usage:
     """How often parts of a source are used, and the prices that follow."""
 
-    def __init__(self, source: Surface, regions: Int[Any, "V"]) -> None:
-        self.regions = regions
-        self.areas = np.bincount(regions, source.frames.masses) / source.frames.masses.sum()
+    def __init__(self, source: Surface, *divisions: Int[Any, "V"]) -> None:
+        """`divisions`: ways to divide the source into parts, each by the number of every vertex's part."""
+        self.divisions = divisions
+        total = source.frames.masses.sum()
+        self.areas = [np.bincount(parts, source.frames.masses) / total for parts in divisions]
 
     def prices(self, anchors: Anchors, masses: Any) -> Float32[Any, "V"]:
-        """Of the source's vertices: the logarithm of how much too often their part is used."""
-        used = np.bincount(self.regions[anchors.vertices], masses / masses.sum(), len(self.areas))
-        excess = np.log(np.maximum(used / np.maximum(self.areas, 1e-9), 0.1))
-        return excess[self.regions].astype(np.float32)
+        """Of the source's vertices: the logarithm of how much too often their parts are used."""
+        prices = np.zeros(len(self.divisions[0]), np.float32)
+        for parts, areas in zip(self.divisions, self.areas, strict=True):
+            used = np.bincount(parts[anchors.vertices], masses / masses.sum(), len(areas))
+            excess = np.log(np.maximum(used / np.maximum(areas, 1e-9), 0.1))
+            prices += excess[parts].astype(np.float32)
+        return prices

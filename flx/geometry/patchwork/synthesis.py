@@ -51,12 +51,12 @@ SWEEPS = (24, 16, 16, 8)  # of the coarsest level, the next, …; the last numbe
 SEARCHED = (12, 2)  # first sweeps of the coarsest level, and of the others, that search all of the source
 AGREEMENT = 2.0  # weight of agreement with neighbours, in median distances, at coherence 1
 PRICE = 3.0  # weight of the price of overused parts, in median distances
-PARTS = 128  # of the source, whose use is counted
+PARTS, TONES = 128, 32  # of the source, by place and by what it looks like, whose use is counted
 INSERTED = 0.05  # new pieces that are tried for each vertex at coherence 1
 EXPANSIONS = (1, 2)  # rounds before new pieces are tried, and after
 RELAXATIONS = 8  # rounds that even out the anchors inside pieces
 FORBIDDEN = 1e3  # cost of what a source cannot give
-MISFIT = 0.05  # cost, beside seams, of a difference of curvature of 1, or of a price of 1
+MISFIT, PRICED = 0.05, 0.1  # cost, beside seams, of a difference of curvature of 1, and of a price of 1
 STAYING, NEAR = 4.0, 2.0  # cost of a place that does not move, as for MISFIT; it moves by so many edges
 CLOSE = 0.7  # edges between two predictions that are averaged
 
@@ -135,15 +135,15 @@ def prepare(
             continue
         rng = np.random.default_rng([seed, number])
         if parts is None:
-            parts = copy.triangulation.vertices[rng.permutation(len(copy))[:PARTS]]
-        regions = np.asarray(KDTree(parts).query(copy.triangulation.vertices)[1])
+            parts = copy.positions[rng.permutation(len(copy))[:PARTS]]
+        tones = source.values[rng.permutation(len(copy))[:TONES]]
         levels.append(
             Level(
                 source,
                 target,
                 views(target, REACH * EDGE),
                 bank(source, rng),
-                Usage(copy, regions),
+                Usage(copy, _nearest(parts, copy.positions), _nearest(tones, source.values)),
                 step,
                 (character(copy, guides[0]), character(target, guides[1])),
                 same,
@@ -185,7 +185,7 @@ def synthesize(
         def misfit(there: Anchors, rows: Int[Any, "n"]) -> Float32[Any, "n"]:
             prices = level.usage.prices(anchors, level.target.frames.masses)
             extra = unlike(*level.characters, there, rows, weights) + _staying(level, there, rows)
-            return MISFIT * (extra + prices[there.vertices])
+            return MISFIT * extra + PRICED * prices[there.vertices]
 
         def priced(charts: Charts, rows: Int[Any, "n"]) -> tuple[Float32[Any, "G M"], Int[Any, "n"]]:
             sides = coarse.characters[0], level.characters[1]
@@ -204,6 +204,11 @@ def synthesize(
     if len(missing):
         _improve(level, anchors, missing, coherence, weights, search=True)
     return anchors
+
+
+def _nearest(centres: Float32[Any, "N C"], points: Float32[Any, "V C"]) -> Int[Any, "V"]:
+    """The number of the centre that each point is nearest to."""
+    return np.asarray(KDTree(centres).query(points)[1])
 
 
 def _anywhere(level: Level, rng: np.random.Generator) -> Anchors:

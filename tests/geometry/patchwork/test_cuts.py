@@ -75,6 +75,14 @@ def test_taking_over_makes_seams_cheaper(seed):
     assert np.abs(shown - work.shown).max() < 1e-6, "what is shown is what the anchors say"
 
 
+def test_a_difference_is_dearer_in_flat_parts():
+    work, rng = patchwork(1), np.random.default_rng(1)
+    a, b = rng.random((2, 9, 3, 4), np.float32)
+    flat, usual, busy = (work.cost(a, b, np.full(9, much, np.float32)) for much in (0.1, 1, 3))
+    assert (flat > 3 * usual).all() and (busy < 0.5 * usual).all()
+    assert np.abs(work.cost(a, a[:, ::-1], np.ones(9, np.float32))).max() == 0, "inside a piece"
+
+
 def test_what_is_not_free_stays():
     work = patchwork(3)
     work.free[:] = np.arange(300) % 2 == 0

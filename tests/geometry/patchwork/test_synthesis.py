@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from flx.geometry.patchwork.anchors import Anchors, Surface, placed
 from flx.geometry.patchwork.appearance import ANGLES, EDGE, REACH, Source, gradients
 from flx.geometry.patchwork.guides import curvature
-from flx.geometry.patchwork.search import bank, distances, most_similar
+from flx.geometry.patchwork.search import Usage, bank, distances, most_similar
 from flx.geometry.patchwork.synthesis import (
     level_counts,
     own_places,
@@ -114,9 +114,13 @@ def test_a_texture_of_one_colour_gives_that_colour():
 
 
 def test_coherence_makes_pieces_larger():
-    small, usual, large = (pieces(WHOLE, synthesize(WHOLE, 0, coherence=c)) for c in (0.0, 1.0, 20.0))
-    assert small.count > 2 * usual.count and small.mean < usual.mean < large.mean
-    assert 0 < usual.largest <= 1 and usual.copied < 0.3
+    of = {
+        c: [pieces(WHOLE, synthesize(WHOLE, seed, coherence=c)) for seed in range(3)] for c in (0.0, 0.2, 5.0)
+    }
+    small, usual, large = [np.mean([each.mean for each in of[c]]) for c in of]
+    assert small < 0.05 < usual < large, "sizes"
+    assert min(each.count for each in of[0.0]) > 10 * max(each.count for each in of[5.0])
+    assert all(0 < each.largest <= 1 and each.copied < 0.3 for each in of[0.2])
 
 
 def test_own_places_are_the_input_itself():
@@ -152,3 +156,24 @@ def test_open_surfaces_and_several_parts_are_filled(shape):
     synthesis = synthesis_of(painted(shape))
     anchors, source = synthesize(synthesis, 0), synthesis.levels[-1].source
     assert source.can_give(anchors).mean() > 0.99 and np.isfinite(anchors.offsets).all()
+
+
+def test_what_is_used_too_often_costs_more_by_place_and_by_look():
+    surface, masses = WHOLE.levels[-1].target, WHOLE.levels[-1].target.frames.masses
+    above, right = ((surface.positions[:, axis] > 0).astype(int) for axis in (2, 0))
+    own = own_places(WHOLE.levels[-1])._replace(vertices=np.arange(len(surface)))
+    fair = Usage(surface, above, right).prices(own, masses)
+    assert np.abs(fair).max() < 1e-6, "all is used as much as there is of it"
+    quarter = own._replace(vertices=np.resize(np.flatnonzero((above == 1) & (right == 1)), len(surface)))
+    by_place, by_both = (Usage(surface, *ways).prices(quarter, masses) for ways in ([above], [above, right]))
+    assert by_place[above == 1].min() > np.log(1.5) and by_place[above == 0].max() < -2
+    assert (by_both[above + right == 2] > 1.5 * by_place[above == 1].max()).all()
+
+
+def test_much_is_going_on_where_a_texture_is_not_flat():
+    image = gaussian_filter(noise(96, 96), (2, 2, 0))
+    image[:48] = 128
+    source = Source(painted(icosphere(3), image), Surface(remesh(*icosphere(3), 900, 1)), REACH * EDGE, 0)
+    flat = source.surface.positions[:, 1] < -0.5  # texture coordinates go up
+    assert source.busy.mean() == pytest.approx(1, abs=1e-5)
+    assert source.busy[flat].max() < 0.5 < 1.2 < source.busy[source.surface.positions[:, 1] > 0.5].min()
