@@ -3,6 +3,7 @@ VENV := .venv
 EXTRAS ?= dev
 MESH ?=
 NAME := $(if $(MESH),$(basename $(notdir $(MESH))),demo)
+INSTANT := runs/$(if $(MESH),$(NAME),vase)-instant
 
 .PHONY: setup demo test test-fast docs bench vendor
 
@@ -16,9 +17,9 @@ $(VENV)/.installed: pyproject.toml
 	@touch $@
 
 demo: setup  # four variations of the embedded vase (or MESH=your.glb) at once, then four by a model that learns it
-	$(VENV)/bin/flx sample $(if $(MESH),'$(MESH)') --instant --count 4
+	$(VENV)/bin/flx sample $(if $(MESH),'$(MESH)') --instant --count 4 --out '$(INSTANT)'
 	$(VENV)/bin/flx train experiments/demo.py --name '$(NAME)' $(if $(MESH),--surface.path '$(MESH)')
-	$(VENV)/bin/flx sample 'runs/$(NAME)' --count 4
+	$(VENV)/bin/flx sample 'runs/$(NAME)' --count 4 --beside '$(INSTANT)'
 
 test: setup  # the linters and every test
 	$(VENV)/bin/ruff check .

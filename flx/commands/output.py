@@ -15,7 +15,15 @@ from typing import Any
 
 from flx.files import check_place
 
-APART = ("run", "out", "count", "up", "viewer", "instant")  # options on which no mesh that is written depends
+APART = (
+    "run",
+    "out",
+    "count",
+    "up",
+    "viewer",
+    "beside",
+    "instant",
+)  # options on which no mesh that is written depends
 
 
 def settings(options: Any, apart: Collection[str] = APART) -> dict[str, Any]:

@@ -46,6 +46,7 @@ class Sample:
     sampler: Sampler = "dpm"  # "dpm" is of second order, "ddim" of first; "ancestral" is DDPM
     up: Literal["y", "z"] | None = None  # the axis that points up in the pictures; as in the run
     viewer: bool = True  # write viewer.html: all of them in 3D, one file that needs no network
+    beside: Path | None = None  # a folder of other variations, shown in the picture and on the page too
     controls: OmitArgPrefixes[Controls] = field(default_factory=Controls)
     patches: OmitArgPrefixes[Patches] = field(default_factory=Patches)
 
@@ -81,6 +82,7 @@ def sample(options: Sample) -> Path:
     from flx.assets.preflight import check_output
     from flx.assets.variants import check_variants, write_variants
     from flx.assets.write import write, write_atlases, write_png
+    from flx.commands.beside import beside
     from flx.commands.viewer import write_viewer
     from flx.geometry.seams import border_ratio, seam_ratio
     from flx.pipeline.canvas import check_size, shown, side_by_side
@@ -94,6 +96,7 @@ def sample(options: Sample) -> Path:
         whole(f"--{name}", getattr(options, name), 1)
     plan = instant_plan(options) if options.instant else learnt_plan(options)
     own, asset, kept = plan.own, plan.asset, plan.kept
+    others = beside(options.beside, asset) if options.beside else {}
     if options.variants:
         check_variants(asset, options.format)
     read = {name: getattr(options.controls, name) for name in ("keep", "fill", "labels")}
@@ -131,7 +134,7 @@ def sample(options: Sample) -> Path:
     _write_record(out, record, list(details), details)  # first: it says whose files these are
     bar = tqdm(made, "variations", options.count, unit="texture", dynamic_ncols=True)
     variations: list[Painting] = []  # what the contact sheet shows
-    shots = [shot("input", own)]  # what the page shows
+    shots = [shot("input", own)]  # what the page shows, and after these the others
 
     def noted(names: Sequence[str]) -> Iterator[Painting]:
         for name, (baked, said) in zip(names, bar, strict=True):
@@ -157,8 +160,10 @@ def sample(options: Sample) -> Path:
             write(asset, baked, file)
             write_atlases(asset, baked, file)
             _write_record(out, record, list(details), details)
-    shown_titles = captions(titles, len(variations))
-    write_png(out / sheet, side_by_side(asset, variations, shown_titles, plan.up, own=own))
+    shots += [shot(title, asset, painting) for title, painting in others.items()]
+    shown_titles = [*captions(titles, len(variations)), *others]
+    every = [*variations, *others.values()]
+    write_png(out / sheet, side_by_side(asset, every, shown_titles, plan.up, own=own))
     if options.viewer:
         title = f"{asset.path.name}: {len(titles)} variation{'s' * (len(titles) > 1)}"
         said = {

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.compiling import compiled
 
 from flx.config import FLVAE
 from flx.models.codec import frame
@@ -54,7 +53,7 @@ def trained_a_little(config: FLVAE) -> tuple[FieldLatentVAE, dict]:
 @cache
 def program(model: FieldLatentVAE, method: str) -> Callable[..., Any]:
     """A method of the model as a function of its parameters and arguments."""
-    return compiled(partial(model.apply, method=method))
+    return jax.jit(partial(model.apply, method=method))
 
 
 def encode(model: FieldLatentVAE, params: dict, r: RingSamples) -> Posterior:

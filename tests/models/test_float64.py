@@ -25,10 +25,6 @@ from flx.pipeline.codec import initial_params
 from flx.types import OneRings, Queries, RingSamples, Triangulation
 
 EXACT = 1e-9
-# What is compiled here runs once or twice: it need not be fast.
-compiled = functools.partial(
-    jax.jit, compiler_options={"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-)
 SMALL = FLDM(network="vectors", latents=3, channels=4, vn_layers=2, filter_width=6, embedding=8, conditions=2)
 SMALL = replace(SMALL, directions=1)
 DENOISERS = {
@@ -115,7 +111,7 @@ def network_of(name: str) -> Network:
     def inner(params, tables, z, rho, way, target):
         return jnp.sum(jnp.real(jnp.conj(target) * answer(params, tables, z, rho, way)))
 
-    return Network(config, compiled(answer), compiled(jax.grad(inner)), params)
+    return Network(config, jax.jit(answer), jax.jit(jax.grad(inner)), params)
 
 
 networks = pytest.mark.parametrize("name", DENOISERS)
@@ -193,7 +189,7 @@ def test_no_direction_is_as_if_none_had_been_learnt(name):
     assert len(params) == len(network.params["params"]) - 3
     kind = {"vectors": Denoiser, "mixed": MixedDenoiser}[network.config.network]
     bare = kind(replace(network.config, directions=0), (1, 1, 1))
-    there = compiled(bare.apply)({"params": params}, TABLES, z, jnp.float64(300), RHO)
+    there = jax.jit(bare.apply)({"params": params}, TABLES, z, jnp.float64(300), RHO)
     assert relative(there, here) < EXACT
     assert relative(network.answer(network.params, TABLES, z, RHO, WAY), here) > 1e-2
 
@@ -269,7 +265,7 @@ def codec_of(name: str) -> Any:
         expanded = model.apply(params, z, method=FieldLatentVAE.expand)
         return model.apply(params, expanded, queries, method=FieldLatentVAE.blend)
 
-    return compiled(encode), compiled(decode)
+    return jax.jit(encode), jax.jit(decode)
 
 
 class Samples(NamedTuple):

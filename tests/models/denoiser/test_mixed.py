@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.compiling import compiled
 from helpers.frames import as_complex, fields, frames, relative, tables_of, turn_of, turned
 from helpers.surfaces import icosphere, torus
 
@@ -31,8 +30,8 @@ RHO = jax.random.normal(jax.random.key(9), (COUNT, 2))
 def denoiser():
     """(network, parameters, ε̂ as a function of parameters, tables, z, t, ρ), compiled once for both laws."""
     network = MixedDenoiser(CONFIG, (1, 1, 2))
-    params = compiled(network.init)(jax.random.key(2), TABLES, Z, jnp.float32(30), RHO)
-    return network, params, compiled(functools.partial(denoise, network))
+    params = jax.jit(network.init)(jax.random.key(2), TABLES, Z, jnp.float32(30), RHO)
+    return network, params, jax.jit(functools.partial(denoise, network))
 
 
 def test_a_block_turns_with_the_frames():
@@ -41,8 +40,8 @@ def test_a_block_turns_with_the_frames():
     alpha = frames(len(x))
     block = MixedBlock(CONFIG)
     start = (real_pairs(x), real_pairs(t))
-    params = compiled(block.init)(jax.random.key(2), start, of_rings(tables.fine), jnp.ones(16))
-    apply = compiled(block.apply)
+    params = jax.jit(block.init)(jax.random.key(2), start, of_rings(tables.fine), jnp.ones(16))
+    apply = jax.jit(block.apply)
 
     def run(x: jax.Array, rings) -> list[jax.Array]:
         pairs, _ = apply(params, (real_pairs(x), start[1]), of_rings(rings), jnp.ones(16))  # type: ignore

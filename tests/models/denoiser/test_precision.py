@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.compiling import compiled
 from helpers.frames import frames, renumbered, turned
 from helpers.surfaces import uneven_sphere
 
@@ -54,10 +53,10 @@ def trained(name: str, steps: int = 60) -> Trained:
     assert config.precision == FLDM().precision == "bfloat16"
     network, tables = network_of(config), mesh_tables(SPHERE)
     z = smooth(tables, config.latents)
-    first = compiled(network.init)(jax.random.key(0), tables, z, jnp.float32(1))
+    first = jax.jit(network.init)(jax.random.key(0), tables, z, jnp.float32(1))
     train = Train(steps=steps, learning_rate=3e-3)
     state = initial_state(train, first)
-    step = compiled(make_step(train, diffusion_loss(config, network), first))
+    step = jax.jit(make_step(train, diffusion_loss(config, network), first))
     tables, losses = stack([tables]), []
     for n in range(steps):
         state, scalars = step(state, MeshBatch(tables, z[None], draw_times(config, 0, n, 1)))
@@ -77,7 +76,7 @@ def smooth(tables: Any, channels: int) -> jax.Array:
 def compiled_answer(name: str, precision: str) -> Any:
     """(parameters, tables, z) → ε̂."""
     network = network_of(replace(NETWORKS[name], precision=precision))
-    return compiled(lambda params, tables, z: network.apply(params, tables, z, jnp.float32(STEP)))
+    return jax.jit(lambda params, tables, z: network.apply(params, tables, z, jnp.float32(STEP)))
 
 
 def difference(a: Any, b: Any) -> float:

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.compiling import compiled
 from helpers.denoisers import COUNT, FILTERS, RHO, SMALL, TORUS, denoiser
 from helpers.frames import field, relative, tables_of, turned
 from helpers.surfaces import icosphere
@@ -75,7 +74,7 @@ def test_a_direction_turns_with_the_frames(network):
     shapes = jax.eval_shape(model.init, jax.random.key(0), TORUS, z, t, RHO, way)
     rng = np.random.default_rng(1)  # drawn, not initialised: that would be compiled as well
     params = jax.tree.map(lambda a: rng.normal(size=a.shape, scale=0.2).astype(a.dtype), shapes)
-    apply = compiled(model.apply)
+    apply = jax.jit(model.apply)
     here = apply(params, TORUS, z, t, RHO, way)
     there = apply(params, turned(TORUS, alpha), turns * z, t, RHO, turn * way)
     assert relative(there, turns * here) < 1e-5
