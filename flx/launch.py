@@ -161,7 +161,8 @@ def lack_of_memory(error: Exception, verb: str) -> str:
 
 def command() -> int:
     """`main` as the process that a shell started."""
-    use_large_pages()
+    if "--instant" not in sys.argv:  # there a network runs
+        use_large_pages()
     if isinstance(sys.stdout, io.TextIOWrapper):  # letters that it cannot write are spelt out, as on stderr
         sys.stdout.reconfigure(errors="backslashreplace")
     return main()

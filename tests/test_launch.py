@@ -23,7 +23,7 @@ from flx.assets.asset import own_painting
 from flx.assets.vase import vase_asset
 from flx.assets.write import write
 from flx.config import quick
-from flx.launch import keep_compiled_programs, main, use_large_pages
+from flx.launch import command, keep_compiled_programs, main, use_large_pages
 from flx.machine import Memory
 from flx.training.run import Run
 
@@ -412,3 +412,13 @@ def test_the_launcher_starts_again_with_large_pages_unless_the_user_chose(monkey
     monkeypatch.setattr("platform.libc_ver", lambda: ("", ""))  # another C library
     use_large_pages()
     assert len(started) == 1
+
+
+@pytest.mark.parametrize(("words", "started"), [(["sample", "--instant"], 0), (["sample", "runs/x"], 1)])
+def test_what_runs_no_network_does_without_large_pages(words, started, monkeypatch):
+    """They keep all memory that was ever used: twice what a patchwork needs."""
+    calls = []
+    monkeypatch.setattr(sys, "argv", ["flx", *words])
+    monkeypatch.setattr("flx.launch.use_large_pages", lambda: calls.append(1))
+    monkeypatch.setattr("flx.launch.main", lambda: 0)
+    assert command() == 0 and len(calls) == started
