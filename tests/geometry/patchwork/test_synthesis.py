@@ -63,6 +63,32 @@ def test_a_mesh_twice_as_large_gets_the_same_patchwork():
     assert (one.vertices == two.vertices).mean() > 0.99 and np.abs(one.turns - two.turns).mean() < 0.01
 
 
+def test_a_moved_and_renumbered_mesh_gets_the_same_patchwork(monkeypatch):
+    """On moved triangulations: which ones remeshing finds hangs on how numbers are rounded."""
+    rng, layer = np.random.default_rng(5), BALL.maps["base_color"]
+    order, faces = rng.permutation(len(BALL.vertices)), rng.permutation(len(BALL.faces))
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rotation *= np.linalg.det(rotation)
+
+    def motion(points):
+        return points @ rotation + 3
+
+    def moved_copy(vertices, triangles, count, seed):
+        copy = remesh(BALL.vertices, BALL.faces, count, seed)
+        return Triangulation(motion(copy.vertices), copy.faces)
+
+    numbered = np.argsort(order)[BALL.faces].astype(BALL.faces.dtype)[faces]
+    other = BALL._replace(vertices=motion(BALL.vertices[order]), faces=numbered)
+    other = other.with_layer(corner_uvs=layer.corner_uvs[faces])
+    monkeypatch.setattr("flx.geometry.patchwork.synthesis.remesh", moved_copy)
+    there = prepare(other, moved_copy(None, None, COUNT, 7), 0)
+    one, two = synthesize(WHOLE, 1), synthesize(there, 1)
+    assert np.array_equal(one.vertices, two.vertices)
+    assert np.abs(one.offsets - two.offsets).max() < 1e-3 and np.abs(one.turns - two.turns).max() < 1e-4
+    source = there.levels[-1].source
+    assert np.abs(source.look(two) - WHOLE.levels[-1].source.look(one)).max() < 1e-3
+
+
 def test_moving_a_source_changes_nothing_of_what_it_looks_like():
     shape = Triangulation(BALL.vertices, BALL.faces)
     turned = moved(shape, 3, 1.0)
