@@ -125,6 +125,8 @@ def sample(options: Sample) -> Path:
         **made_by,
         "seam_ratio_input": seam_ratio((asset if plan.file is own else own).mesh),
     }
+    if kept:
+        record["border_ratio_input"] = border_ratio(own.mesh, kept.index, kept.texels)
     lists = {key: before[key] for key in _DETAILS if key in before}
     details: dict[str, dict[str, Any]] = {
         name: {key: said[place] for key, said in lists.items() if place < len(said)}
