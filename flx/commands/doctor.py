@@ -92,7 +92,7 @@ class Findings(NamedTuple):
     ring_pixels: RingPixels
     kept_psnr: float | None  # of the texture by the plan's vertices, in dB; None where it has no detail
     enough_vertices: int | None  # to keep it at `FINE` dB
-    kept_maps: tuple[str, ...]  # slots of other maps, which stay as they are
+    other_maps: tuple[str, ...]  # slots of other maps
     tints: tuple[str, ...]  # materials whose texture viewers multiply, with the factor
     plan: Costs
     warnings: tuple[str, ...]
@@ -122,7 +122,7 @@ def examine(asset: Asset, experiment: FLDMExperiment) -> Findings:
         ring_pixels=pixels,
         kept_psnr=round(psnr_at(lost, experiment.surface.vertices), 1) if lost else None,
         enough_vertices=_enough(lost) if lost else None,
-        kept_maps=tuple(slot.replace("_", " ") for slot in SLOTS if asset.map_names.get(slot)),
+        other_maps=tuple(slot.replace("_", " ") for slot in SLOTS if asset.map_names.get(slot)),
         tints=tuple(tints_in_words(asset)),
         plan=plan,
         warnings=warnings,
@@ -264,9 +264,11 @@ def _describe_findings(findings: Findings) -> list[tuple[str, str]]:
     if findings.kept_psnr is not None:
         enough = f"{FINE:.0f} dB take about {findings.enough_vertices:,} vertices"
         lines.append(("texture kept, about", f"{findings.kept_psnr:.0f} dB; {enough}"))
-    if findings.kept_maps:
-        names = ", ".join(findings.kept_maps)
-        lines.append(("other maps", f"{names}: kept as they are, so they will not follow new colours"))
+    if findings.other_maps:
+        names = ", ".join(findings.other_maps)
+        lines.append(
+            ("other maps", f"{names}; they follow new colours into a GLB, but not with --variants or --mesh")
+        )
     lines += [("viewers multiply the texture of", tint) for tint in findings.tints]
     size = f"{plan.copies:,} copies, {plan.steps:,} steps of {plan.batch}, {plan.vertices:,} vertices"
     duration = (

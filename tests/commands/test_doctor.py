@@ -248,10 +248,10 @@ def test_an_image_that_exif_data_turn_is_warned_of(tmp_path):
 def test_maps_that_do_not_follow_new_colours_and_factors_are_told(tmp_path):
     asset = read_asset(obj(mtl=MTL + "norm a.png\n")(tmp_path))
     findings = examined(asset)
-    assert findings.kept_maps == ("normal",) and "will not follow new colours" in describe(
+    assert findings.other_maps == ("normal",) and "follow new colours into a GLB" in describe(
         asset.report, findings
     )
-    assert "will not follow" not in describe(asset.report, examined(square(tmp_path, 0.5)))
+    assert "follow new" not in describe(asset.report, examined(square(tmp_path, 0.5)))
     factor = at("materials", 0, "pbrMetallicRoughness", "baseColorFactor", to=[0.5, 0.25, 1, 1])(tmp_path)
     findings = examined(read_asset(factor))
     assert len(findings.tints) == 1 and findings.tints[0].endswith(" × 0.5 0.25 1")
