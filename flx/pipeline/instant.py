@@ -26,9 +26,9 @@ from flx.geometry.copies import check_memory
 from flx.geometry.direction import field_on
 from flx.geometry.labels import labels_on
 from flx.geometry.patchwork.anchors import Anchors, settled
-from flx.geometry.patchwork.cuts import Patchwork
+from flx.geometry.patchwork.borders import belonging, corner_weights
 from flx.geometry.patchwork.guides import Guides, Weights
-from flx.geometry.patchwork.synthesis import FINER, Pieces, Synthesis, pieces, prepare, synthesize
+from flx.geometry.patchwork.synthesis import FINER, Pieces, Synthesis, patchwork, pieces, prepare, synthesize
 from flx.geometry.remesh.remesh import remesh
 from flx.geometry.sampling import face_normals, surface_colors, transfer
 from flx.pipeline.canvas import Canvas, bake, check_size, open_canvas
@@ -41,7 +41,6 @@ from flx.pipeline.workers import in_order, in_processes, workers_for
 from flx.types import SLOTS, Queries, Slot, SurfacePoints, TexturedMesh, Triangulation
 
 SAMPLES = 64  # points of a one-ring that say whether it is kept
-SHARPNESS = 6  # power of the barycentrics by which the corners of a face are blended
 LEAST = 0.03  # share of a blend below which a corner is left out
 SAME = 0.02  # difference of colours up to which two neighbours count as one piece
 BRIGHTNESS = 0.12  # difference that may be one of brightness; much larger ones are edges of the pattern
@@ -308,7 +307,7 @@ def colors_from(
     def colors(at: Int[Any, "n"], _: Anchors, points: SurfacePoints) -> Float32[Any, "n 3"]:
         return np.clip(surface_colors(generator.mesh, points, slot) + added[at], 0, 1)
 
-    return partial(_blended, generator, anchors, colors)
+    return _painter(generator, anchors, colors)
 
 
 def normals_from(generator: PatchGenerator, anchors: Anchors) -> Callable[[Queries], Float32[Any, "P 3"]]:
@@ -325,31 +324,33 @@ def normals_from(generator: PatchGenerator, anchors: Anchors) -> Callable[[Queri
         vector = target.x_axes[at] * turned.real[:, None] + target.y_axes[at] * turned.imag[:, None]
         return vector.astype(np.float32)
 
-    return partial(_blended, generator, anchors, leaning)
+    return _painter(generator, anchors, leaning)
 
 
-def _blended(
+def _painter(
     generator: PatchGenerator,
     anchors: Anchors,
     values: Callable[[Int[Any, "n"], Anchors, SurfacePoints], Float32[Any, "n 3"]],
-    queries: Queries,
-) -> Float32[Any, "P 3"]:
-    """Values where the three corners of each point's face lead, sharply blended."""
+) -> Callable[[Queries], Float32[Any, "P 3"]]:
+    """What gives values where the three corners of each point's face lead, sharply blended."""
     level = generator.synthesis.levels[-1]
-    source = level.source.surface
-    weights = np.asarray(queries.barycentrics) ** SHARPNESS
-    weights /= weights.sum(1, keepdims=True)
-    weights[weights < LEAST] = 0
-    weights /= weights.sum(1, keepdims=True)
-    blend = np.zeros((len(weights), 3), np.float32)
-    for corner in range(3):
-        rows = np.flatnonzero(weights[:, corner])
-        at = queries.vertices[rows, corner]
-        there = settled(source, anchors.at(at).moved(queries.logs[rows, corner], level.step))
-        points = source.points_at(there.vertices, there.offsets)
-        points = transfer(points, source.triangulation, generator.mesh)
-        blend[rows] += weights[rows, corner, None] * values(at, there, points)
-    return blend
+    source, of = level.source.surface, belonging(patchwork(generator.synthesis, anchors))
+
+    def blended(queries: Queries) -> Float32[Any, "P 3"]:
+        weights = corner_weights(of, queries)
+        weights[weights < LEAST] = 0
+        weights /= weights.sum(1, keepdims=True)
+        blend = np.zeros((len(weights), 3), np.float32)
+        for corner in range(3):
+            rows = np.flatnonzero(weights[:, corner])
+            at = queries.vertices[rows, corner]
+            there = settled(source, anchors.at(at).moved(queries.logs[rows, corner], level.step))
+            points = source.points_at(there.vertices, there.offsets)
+            points = transfer(points, source.triangulation, generator.mesh)
+            blend[rows] += weights[rows, corner, None] * values(at, there, points)
+        return blend
+
+    return blended
 
 
 def tangent_axes(mesh: TexturedMesh) -> tuple[Float32[Any, "F 3"], Float32[Any, "F 3"]]:
@@ -381,15 +382,14 @@ def color_shifts(synthesis: Synthesis, anchors: Anchors) -> Float32[Any, "V 3"]:
     Least squares, as in Poisson image editing (Pérez et al. 2003): neighbours of one piece are shifted alike;
     across a seam the shifts differ by what colours differ there, unless that is an edge of the pattern.
     """
-    level = synthesis.levels[-1]
-    work = Patchwork(level.source, level.target, anchors, level.step, synthesis.free)
+    work = patchwork(synthesis, anchors)
     here, there = work.shown[work.p, work.slot], work.shown[work.q, work.back, ::-1]
     missing = (there - here)[..., :3].mean(1)  # what the neighbour says more than p
     size = np.abs(missing).max(1)
     same = size < SAME
     roots = np.sqrt(np.where(same, 1, np.exp(-((size / BRIGHTNESS) ** 2))))
     wanted = np.where(same[:, None], 0, missing) * roots[:, None]
-    edges, count = np.arange(len(work.p)), len(level.target)
+    edges, count = np.arange(len(work.p)), len(work.target)
     places = np.concatenate([edges, edges]), np.concatenate([work.p, work.q])
     differences = csr_array((np.concatenate([roots, -roots]), places), shape=(len(edges), count))
     stay = np.where(synthesis.free, STAY, FIXED)  # what is kept has the colours that it had

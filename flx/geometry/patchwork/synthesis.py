@@ -306,6 +306,12 @@ def own_places(level: Level) -> Anchors:
     return nearest_anchors(target.positions, target.x_axes, normals, level.source.surface)
 
 
+def patchwork(synthesis: Synthesis, anchors: Anchors) -> Patchwork:
+    """The pieces of a result, and what they show along the edges of the finest target."""
+    level = synthesis.levels[-1]
+    return Patchwork(level.source, level.target, anchors, level.step, synthesis.free)
+
+
 class Pieces(NamedTuple):
     """What a patchwork consists of."""
 
@@ -318,7 +324,7 @@ class Pieces(NamedTuple):
 def pieces(synthesis: Synthesis, anchors: Anchors) -> Pieces:
     """The pieces of a result."""
     level = synthesis.levels[-1]
-    of = Patchwork(level.source, level.target, anchors, level.step, synthesis.free).pieces()
+    of = patchwork(synthesis, anchors).pieces()
     masses = level.target.frames.masses / level.target.frames.masses.sum()
     sizes = np.bincount(of, masses)
     positions, directions = placed(level.source.surface, anchors)
