@@ -4,7 +4,6 @@ import os
 import signal
 from pathlib import Path
 
-import pytest
 from hypothesis import HealthCheck, settings
 
 if os.name != "posix":  # what these are about is signals, process groups and pipes as POSIX has them
@@ -15,13 +14,9 @@ CACHE = Path(__file__).parent.parent / ".pytest_cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
-# What runs a few times only is best compiled fast. Programs that tests start are compiled as users have them.
+# What runs a few times only is best compiled fast. All processes alike: some tests compare their bits.
 FAST = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-with pytest.MonkeyPatch.context() as patch:
-    patch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", "") + " " + FAST)
-    import jax  # after what it reads from the environment
-
-    jax.devices()
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FAST}"
 
 settings.register_profile(
     "flx", deadline=None, derandomize=True, max_examples=20, suppress_health_check=[HealthCheck.too_slow]
