@@ -15,15 +15,8 @@ from typing import Any
 
 from flx.files import check_place
 
-APART = (
-    "run",
-    "out",
-    "count",
-    "up",
-    "viewer",
-    "beside",
-    "instant",
-)  # options on which no mesh that is written depends
+# Options on which no mesh that is written depends.
+APART = ("run", "out", "count", "up", "viewer", "beside", "instant")
 
 
 def settings(options: Any, apart: Collection[str] = APART) -> dict[str, Any]:
