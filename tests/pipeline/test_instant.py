@@ -157,7 +157,7 @@ def test_kept_texels_are_the_same_bits_and_the_rest_is_new(tmp_path, option):
     generator = patch_generator(BALL, SMALL, controls=Controls(**{option: tmp_path / "mask.png"}))
     new = next(patchworks(generator, count=1)).images[0]
     assert np.array_equal(new[left], image[left])
-    assert np.abs(new[~left].astype(int) - image[~left]).mean() > 3
+    assert np.abs(new[~left].astype(int) - image[~left]).mean() > 5
     if option == "fill":  # pieces come from what is kept alone
         places = generator.synthesis.levels[-1].source.surface.positions[generator.sample([0, 0]).vertices]
         assert places[:, 2].min() > -0.15, "the lowest corner of a face that is kept"
