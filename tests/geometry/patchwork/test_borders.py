@@ -47,6 +47,8 @@ def test_at_an_edge_the_corner_across_counts_nothing(seed, along):
     at = np.tile([along, 1 - along, 0], (len(edges), 1))
     weights = corner_weights(of, queries(edges, at))
     assert weights[:, 2].max() == 0
+    beside = at * (1 - 1e-4) + [0, 0, 1e-4]
+    assert corner_weights(of_pieces(of.pieces, 0.9), queries(edges, beside))[:, 2].max() < 0.5, "nor suddenly"
     pairs = {}
     for (first, second, _), (one, other, _) in zip(edges, weights, strict=True):
         pairs[first, second] = one
